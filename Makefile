@@ -1,0 +1,54 @@
+# Everything runs in .venv, which these targets make from nothing but python3 (3.11 or newer).
+# `make demo` and `make test` on a fresh machine are the two commands the README promises.
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+# Two workers, each on its own share of the cores (tests/conftest.py), and no thread pools beside XLA's.
+WORKERS ?= 2
+export OMP_NUM_THREADS ?= 1
+
+.PHONY: help demo test test-all lint format bench docs clean
+.DEFAULT_GOAL := help
+
+help: ## Say what each target does
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+
+$(STAMP): requirements.lock pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || { \
+	  echo "odaf needs Python 3.11 or newer; '$(PYTHON)' is $$($(PYTHON) --version 2>&1 || echo not there)." >&2; \
+	  echo "Name another interpreter, for example: make $(MAKECMDGOALS) PYTHON=python3.12" >&2; exit 1; }
+	@test -x $(BIN)/python || { echo "Making $(VENV) ..."; $(PYTHON) -m venv $(VENV); }
+	@echo "Installing the versions named in requirements.lock (a few minutes the first time) ..."
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements.lock
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+	@touch $@
+
+demo: $(STAMP) ## Learn to stitch a maze from poor demonstrations; ends with runs/demo/report.html
+	$(BIN)/odaf demo --out runs/demo
+
+lint: $(STAMP) ## Check style and types, change nothing
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/pyright
+
+test: lint ## Check style, types, import direction and behaviour
+	$(BIN)/pytest -n $(WORKERS) -m "not slow"
+
+test-all: lint ## The same, with the slow tests
+	$(BIN)/pytest -n $(WORKERS)
+
+format: $(STAMP) ## Rewrite files in the house style
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+bench: $(STAMP) ## Time the parts that matter; prints one figure a line
+	$(BIN)/python -m benchmarks
+
+docs: $(STAMP) ## Build the documentation into site/
+	$(BIN)/mkdocs build --strict --quiet
+
+clean: ## Remove what commands produced; keeps results/ and .venv
+	rm -rf build dist site runs .pytest_cache .ruff_cache .hypothesis .cache
+	find src tests -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,0 +1,5 @@
+"""The `odaf` command."""
+
+
+def main(arguments: list[str] | None = None) -> int:
+    return 0
