@@ -1,5 +1,5 @@
-"""The `odaf` command."""
+"""The `odaf` command: one module per command, each of which reads its options and calls the library."""
 
+from odaf.cli.dispatch import main
 
-def main(arguments: list[str] | None = None) -> int:
-    return 0
+__all__ = ["main"]

@@ -1,0 +1,188 @@
+"""Chooses the command, and turns every way a command can end into an exit code and one readable message.
+
+Nothing heavy is imported here, so that help and mistakes answer at once.
+
+Exit codes: 0 done, 1 a defect of odaf itself (with a traceback), 2 a mistake that the message explains,
+130 stopped with Ctrl-C.
+"""
+
+import difflib
+import os
+import sys
+import traceback
+from dataclasses import dataclass
+from importlib import import_module
+
+from odaf import __version__
+from odaf.errors import OdafError
+
+EXIT_MISTAKE = 2
+EXIT_INTERRUPTED = 130
+EXIT_BROKEN_PIPE = 141
+
+
+@dataclass(frozen=True)
+class Command:
+    """One entry of the command table.
+
+    Attributes:
+        name: the words the user types after `odaf`.
+        usage: what follows the name in the shortest call that does something.
+        summary: one line for the table.
+        module: module that offers `run(arguments) -> exit code or None`.
+        function: name of that function.
+    """
+
+    name: str
+    usage: str
+    summary: str
+    module: str
+    function: str = "run"
+
+
+COMMANDS = (
+    Command(
+        "data generate", "NAME --out FILE", "record a data set from scripted controllers", "odaf.cli.data", "generate"
+    ),
+    Command("data info", "FILE", "say what a data set holds", "odaf.cli.data", "info"),
+    Command("train", "PRESET --data FILE --out DIR", "learn policies from a data set", "odaf.cli.train"),
+    Command("resume", "DIR", "go on with a run exactly where it stopped", "odaf.cli.resume"),
+    Command("evaluate", "DIR", "play episodes with the policies of a run", "odaf.cli.evaluate"),
+    Command("report", "DIR... --out FILE", "draw one page that compares runs", "odaf.cli.report"),
+    Command("demo", "", "stitch a maze from poor demonstrations, in minutes", "odaf.cli.demo"),
+    Command("reproduce", "STUDY", "measure a whole study, one resumable command", "odaf.cli.reproduce"),
+)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run one command.
+
+    Args:
+        arguments: words after `odaf`; taken from the process when not given.
+
+    Returns:
+        The exit code.
+    """
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    debug = "--debug" in words
+    words = [word for word in words if word != "--debug"]
+    if not words or words[0] in ("-h", "--help"):
+        print(table_of_commands())
+        return 0 if words else EXIT_MISTAKE
+    if words[0] == "--version":
+        print(f"odaf {__version__}")
+        return 0
+    command, rest = find_command(words)
+    if command is None:
+        if rest:
+            print(table_of_commands(words[0]))
+            return 0
+        return complain("odaf", unknown_command(words))
+    return run_guarded(command, rest, debug)
+
+
+def find_command(words: list[str]) -> tuple[Command | None, list[str]]:
+    """The command that the first words name, and the words that are left for it.
+
+    Without a command, the list holds the words of a request for help on a group (`odaf data --help`), else nothing.
+    """
+    for command in COMMANDS:
+        name = command.name.split()
+        if words[: len(name)] == name:
+            return command, words[len(name) :]
+    if is_group(words[0]) and words[1:] in (["-h"], ["--help"]):
+        return None, words[1:]
+    return None, []
+
+
+def is_group(word: str) -> bool:
+    """Whether several commands begin with this word."""
+    return any(command.name.startswith(f"{word} ") for command in COMMANDS)
+
+
+def run_guarded(command: Command, arguments: list[str], debug: bool) -> int:
+    """Run a command; explained mistakes become their message and exit code 2.
+
+    Args:
+        debug: show the traceback of a mistake too.
+    """
+    name = f"odaf {command.name}"
+    try:
+        run = getattr(import_module(command.module), command.function)
+        code = int(run(arguments) or 0)
+        sys.stdout.flush()
+        return code
+    except SystemExit as stop:  # the option parser prints its own message and stops with 0 or 2
+        return stop.code if isinstance(stop.code, int) else int(stop.code is not None)
+    except KeyboardInterrupt:
+        print(f"\n{name}: stopped", file=sys.stderr)
+        return EXIT_INTERRUPTED
+    except BrokenPipeError:  # the reader of our output went away, as `head` does
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return EXIT_BROKEN_PIPE
+    except (OdafError, OSError) as mistake:
+        if debug:
+            traceback.print_exc()
+        return complain(name, describe(mistake) if isinstance(mistake, OSError) else str(mistake))
+
+
+def describe(error: OSError) -> str:
+    """A file system error as place, cause and remedy."""
+    cause = (error.strerror or str(error) or type(error).__name__).lower()
+    if error.filename is None:
+        return cause
+    remedies = {
+        FileNotFoundError: "check the path, or make the file first",
+        IsADirectoryError: "name a file inside it",
+        NotADirectoryError: "a part of the path is a file; name another place",
+        PermissionError: "ask for access or name another place",
+        FileExistsError: "name another place, or remove it first",
+    }
+    remedy = remedies.get(type(error))
+    return f"{os.fsdecode(error.filename)}: {cause}" + (f"; {remedy}" if remedy else "")
+
+
+def complain(name: str, message: str) -> int:
+    """Print one message to the error stream; returns the exit code for an explained mistake."""
+    sys.stdout.flush()
+    print(f"{name}: {message}", file=sys.stderr)
+    return EXIT_MISTAKE
+
+
+def unknown_command(words: list[str]) -> str:
+    """What to say about words that name no command, with the nearest one that exists."""
+    if is_group(words[0]):
+        known = [command.name for command in COMMANDS if command.name.startswith(f"{words[0]} ")]
+        given = " ".join(words[:2])
+    else:
+        known = [command.name for command in COMMANDS]
+        given = words[0]
+    near = difflib.get_close_matches(given, known, n=1, cutoff=0.5)
+    hint = f"did you mean `odaf {near[0]}`?" if near else f"known are: {', '.join(known)}"
+    return f"there is no command `{given}`; {hint}"
+
+
+def table_of_commands(group: str = "") -> str:
+    """The help page: what odaf does, its commands, where to go next.
+
+    Args:
+        group: first word of the commands to list; all when empty.
+    """
+    chosen = [command for command in COMMANDS if not group or command.name.startswith(f"{group} ")]
+    rows = [(f"{command.name} {command.usage}".strip(), command.summary) for command in chosen]
+    width = max(len(left) for left, _ in rows)
+    lines = "\n".join(f"  {left:<{width}}   {right}" for left, right in rows)
+    return (
+        f"usage: odaf {f'{group} ' if group else ''}COMMAND [options]\n\n"
+        "Learn a control policy from logged data alone, even when the log comes from poor controllers.\n\n"
+        f"commands:\n{lines}\n\n"
+        "options:\n"
+        "  -h, --help   this page; after a command, its own options\n"
+        "  --version    the version\n"
+        "  --debug      show the traceback behind an error message\n\n"
+        "first steps:\n"
+        "  odaf demo\n"
+        "  odaf data generate pointmaze-stitch --seed 0 --out maze.h5\n"
+        "  odaf train odaf --data maze.h5 --steps 20000 --seeds 0 1 --out runs/maze\n"
+        "  odaf report runs/maze --out report.html"
+    )
