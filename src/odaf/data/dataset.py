@@ -1,0 +1,358 @@
+"""Logged experience: immutable columns, an episode index, and where it all came from."""
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import InitVar, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from odaf.data import episodes, validation
+from odaf.data.spec import Spec
+from odaf.errors import DatasetError
+
+COLUMNS = ("observations", "actions", "rewards", "next_observations", "terminated", "truncated")
+ARRAYS = (*COLUMNS, "episode_starts", "action_low", "action_high")
+
+
+@dataclass(frozen=True, eq=False)
+class Dataset:
+    """N transitions of E whole episodes, in the user's units. Arrays are read-only and rows never cross an episode.
+
+    Two ends are told apart. `terminated` means the task ended: no future reward exists after this row. `truncated`
+    means the recording ended: the future went on unseen, and `next_observations` holds the real successor. A pole that
+    falls at step 30 has `terminated[29]`; one still standing when the 200-step clock runs out has `truncated[199]`.
+    The last row of an episode carries exactly one of the two; no other row carries any.
+
+    Use `from_arrays` or `load`; the constructor takes columns that are already in final form and checks them.
+
+    Attributes:
+        observations: [N, obs_dim] float32.
+        actions: [N, act_dim] float32, within `action_low` and `action_high`.
+        rewards: [N] float32, earned by the action of the same row.
+        next_observations: [N, obs_dim] float32; a placeholder where `terminated` and no successor was logged.
+        terminated: [N] bool.
+        truncated: [N] bool.
+        episode_starts: [E] int64, the first row of each episode, ascending from 0.
+        action_low: [act_dim] float32.
+        action_high: [act_dim] float32.
+        observation_names: one per observation column.
+        action_names: one per action column.
+        provenance: JSON types only: where the rows came from, and under "findings" what was changed on the way in.
+    """
+
+    observations: np.ndarray
+    actions: np.ndarray
+    rewards: np.ndarray
+    next_observations: np.ndarray
+    terminated: np.ndarray
+    truncated: np.ndarray
+    episode_starts: np.ndarray
+    action_low: np.ndarray
+    action_high: np.ndarray
+    observation_names: tuple[str, ...]
+    action_names: tuple[str, ...]
+    provenance: dict[str, Any]
+    source: InitVar[str] = "Dataset"  # how messages name these rows
+
+    def __post_init__(self, source: str):
+        own: dict[str, Any] = {}
+        for field in ("observations", "actions", "next_observations"):
+            own[field] = validation.matrix(source, field, getattr(self, field))
+        own["rewards"] = validation.vector(source, "rewards", self.rewards)
+        for field in ("terminated", "truncated"):
+            own[field] = validation.flags(source, field, getattr(self, field))
+        rows = validation.same_length(source, own)
+        if own["next_observations"].shape != own["observations"].shape:
+            raise DatasetError(
+                f"{source}: field 'next_observations' has {own['next_observations'].shape[1]} columns, "
+                f"'observations' has {own['observations'].shape[1]}; both must describe the same quantities"
+            )
+        obs_dim, act_dim = own["observations"].shape[1], own["actions"].shape[1]
+        own["observation_names"] = validation.names(
+            source, "observation_names", self.observation_names, obs_dim, "observation"
+        )
+        own["action_names"] = validation.names(source, "action_names", self.action_names, act_dim, "action")
+        bounds = validation.action_bounds(
+            source, own["actions"], own["action_names"], (self.action_low, self.action_high)
+        )
+        own["action_low"], own["action_high"] = bounds[0].copy(), bounds[1].copy()
+        strays = validation.outside_bounds(source, own["actions"], bounds[0], bounds[1])
+        if strays.any():
+            raise DatasetError(
+                f"{source}: field 'actions' leaves its bounds in {validation.name_rows(strays)}; "
+                "build the dataset with Dataset.from_arrays, which clips rounding errors and records it"
+            )
+        own["episode_starts"] = episodes.check_starts(source, self.episode_starts, rows)
+        episodes.check_ends(source, own["episode_starts"], own["terminated"], own["truncated"])
+        own["provenance"] = _plain_json(source, self.provenance)
+        for field, value in own.items():
+            if isinstance(value, np.ndarray):
+                value.setflags(write=False)
+            object.__setattr__(self, field, value)
+
+    @classmethod
+    def from_arrays(
+        cls,
+        observations: Any,
+        actions: Any,
+        rewards: Any,
+        next_observations: Any = None,
+        terminated: Any = None,
+        truncated: Any = None,
+        *,
+        episode: Any = None,
+        action_bounds: validation.Bounds | None = None,
+        observation_names: Sequence[str] | None = None,
+        action_names: Sequence[str] | None = None,
+        provenance: Mapping[str, Any] | None = None,
+        source: str = "Dataset.from_arrays",
+    ) -> "Dataset":
+        """Builds a dataset from columns in time order; the caller's arrays are copied, never changed.
+
+        Episodes are the blocks of equal `episode` ids; without ids an episode ends at each row that is terminated or
+        truncated. Everything that is changed, derived or dropped is counted in `provenance["findings"]`.
+
+        Args:
+            observations: [N, obs_dim].
+            actions: [N, act_dim], in the units of `action_bounds`.
+            rewards: [N] or [N, 1].
+            next_observations: [N, obs_dim]. None shifts `observations` inside each episode; a last row that is
+                not terminated has then no successor and is dropped (it cannot be learned from).
+            terminated: [N], true where the task ended. None means it never did.
+            truncated: [N], true where the recording was cut. None means only where an episode stops unfinished.
+            episode: [N] ids, equal inside an episode and never used again by a later one.
+            action_bounds: (low, high), numbers or one per action, or {action name: (low, high)}. None takes the
+                smallest and largest logged action, which is recorded as a finding.
+            observation_names: one per column; None numbers them.
+            action_names: one per column; None numbers them.
+            provenance: JSON types, stored with the data.
+            source: how error messages name these rows, for instance a file name.
+
+        Raises:
+            DatasetError: a column has the wrong type, shape or length, holds NaN or infinity, actions lie outside their
+                bounds by more than 0.1 % of the range, no episode end can be told, or an episode id comes back.
+        """
+        columns = {
+            "observations": validation.matrix(source, "observations", observations),
+            "actions": validation.matrix(source, "actions", actions),
+            "rewards": validation.vector(source, "rewards", rewards),
+        }
+        if next_observations is not None:
+            columns["next_observations"] = validation.matrix(source, "next_observations", next_observations)
+        for field, values in (("terminated", terminated), ("truncated", truncated)):
+            if values is not None:
+                columns[field] = validation.flags(source, field, values)
+        rows = validation.same_length(source, columns)
+        if episode is not None:
+            episode = np.asarray(episode)
+            if episode.shape != (rows,):
+                raise DatasetError(
+                    f"{source}: field 'episode' must be [rows], one id per step; "
+                    f"got shape {episode.shape} for {rows:,} rows"
+                )
+        action_names = validation.names(source, "action_names", action_names, columns["actions"].shape[1], "action")
+        findings: list[dict[str, Any]] = []
+
+        low, high = validation.action_bounds(source, columns["actions"], action_names, action_bounds)
+        if action_bounds is None:
+            findings.append(
+                {
+                    "finding": "action-bounds-from-data",
+                    "count": len(action_names),
+                    "message": "no action_bounds were given; the smallest and largest logged action stand in for them",
+                }
+            )
+        strays = validation.outside_bounds(source, columns["actions"], low, high)
+        if strays.any():
+            columns["actions"] = np.clip(columns["actions"], low, high)
+            findings.append(
+                {
+                    "finding": "actions-clipped",
+                    "count": int(strays.sum()),
+                    "message": f"actions outside their bounds by rounding moved onto them, {validation.name_rows(strays)}",
+                }
+            )
+        starts = episodes.complete(source, columns, episode, findings)
+
+        provenance = dict(provenance or {})
+        provenance["findings"] = [*provenance.get("findings", []), *findings]
+        return cls(
+            **columns,
+            episode_starts=starts,
+            action_low=low,
+            action_high=high,
+            observation_names=validation.names(
+                source, "observation_names", observation_names, columns["observations"].shape[1], "observation"
+            ),
+            action_names=action_names,
+            provenance=provenance,
+            source=source,
+        )
+
+    @classmethod
+    def load(
+        cls,
+        path: str | os.PathLike[str],
+        *,
+        max_episode_steps: int | None = None,
+        action_bounds: validation.Bounds | None = None,
+        d4rl_compat: bool = False,
+    ) -> "Dataset":
+        """Reads a file written by `save`, or an HDF5 file in the D4RL layout; which of the two is told from the file.
+
+        Reading never runs code from the file. The options concern the D4RL layout only: see `odaf.data.d4rl.read`.
+
+        Raises:
+            DatasetError: the file is missing, damaged, of another format or a newer version, or its rows fail a check.
+        """
+        from odaf.data import d4rl, storage
+
+        with storage.opened(path) as (file, source):
+            if storage.is_own(file, source):
+                options = {
+                    "max_episode_steps": max_episode_steps is not None,
+                    "action_bounds": action_bounds is not None,
+                    "d4rl_compat": d4rl_compat,
+                }
+                for option, given in options.items():
+                    if given:
+                        raise DatasetError(
+                            f"{source}: {option} applies to files in the D4RL layout, this is an odaf dataset; "
+                            "leave the option out"
+                        )
+                return storage.read(file, source)
+            return d4rl.read(
+                file,
+                source,
+                max_episode_steps=max_episode_steps,
+                action_bounds=(-1.0, 1.0) if action_bounds is None else action_bounds,
+                d4rl_compat=d4rl_compat,
+            )
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Writes the dataset to one HDF5 file; a crash leaves either the old file or the new one, never a part."""
+        from odaf.data import storage
+
+        storage.write(self, path)
+
+    def __len__(self) -> int:
+        return len(self.rewards)
+
+    @property
+    def obs_dim(self) -> int:
+        return self.observations.shape[1]
+
+    @property
+    def act_dim(self) -> int:
+        return self.actions.shape[1]
+
+    @property
+    def num_episodes(self) -> int:
+        return len(self.episode_starts)
+
+    @property
+    def environment(self) -> dict[str, Any] | None:
+        """How to build the environment the data came from (see `odaf.environments.make`), or None if unknown."""
+        return self.provenance.get("environment")
+
+    def episode(self, index: int) -> slice:
+        """Rows of one episode; negative indices count from the end."""
+        if not -self.num_episodes <= index < self.num_episodes:
+            raise IndexError(f"episode {index} of {self.num_episodes}")
+        index %= self.num_episodes
+        stops = self._episode_stops()
+        return slice(int(self.episode_starts[index]), int(stops[index]))
+
+    def episode_lengths(self) -> np.ndarray:
+        """[E] int64, steps."""
+        return self._episode_stops() - self.episode_starts
+
+    def episode_returns(self) -> np.ndarray:
+        """[E] float64, undiscounted sums of the logged rewards."""
+        return np.add.reduceat(self.rewards.astype(np.float64), self.episode_starts)
+
+    def spec(self) -> Spec:
+        """What a learner needs to size its networks and scale its actions."""
+        return Spec(
+            obs_dim=self.obs_dim,
+            act_dim=self.act_dim,
+            action_low=tuple(self.action_low.tolist()),
+            action_high=tuple(self.action_high.tolist()),
+            reward_min=float(self.rewards.min()),
+            reward_max=float(self.rewards.max()),
+            ever_terminates=bool(self.terminated.any()),
+            max_episode_length=int(self.episode_lengths().max()),
+        )
+
+    def fingerprint(self) -> str:
+        """SHA-256 (hex) over names, types, shapes and bytes of all arrays and the metadata; equal data, equal print."""
+        from odaf.data import storage
+
+        return storage.checksum({name: getattr(self, name) for name in ARRAYS}, storage.metadata(self))
+
+    def summary(self) -> dict[str, Any]:
+        """Counts, returns and provenance in JSON types. Returns are undiscounted sums per episode."""
+        returns, lengths = self.episode_returns(), self.episode_lengths()
+        return {
+            "transitions": len(self),
+            "episodes": self.num_episodes,
+            "mean_return": float(returns.mean()),
+            "std_return": float(returns.std()),
+            "best_return": float(returns.max()),
+            "worst_return": float(returns.min()),
+            "mean_length": float(lengths.mean()),
+            "terminal_share": float(self.terminated[self._episode_stops() - 1].mean()),
+            "observation_names": list(self.observation_names),
+            "action_names": list(self.action_names),
+            "action_low": self.action_low.tolist(),
+            "action_high": self.action_high.tolist(),
+            "provenance": _plain_json("Dataset.summary", self.provenance),
+        }
+
+    def select(self, chosen: Sequence[int] | np.ndarray) -> "Dataset":
+        """A dataset of the episodes `chosen`, in that order; at least one."""
+        slices = [self.episode(int(index)) for index in chosen]
+        if not slices:
+            raise DatasetError("Dataset.select: no episode was chosen; a dataset needs at least one")
+        rows = np.concatenate([np.arange(part.start, part.stop) for part in slices])
+        lengths = np.array([part.stop - part.start for part in slices])
+        columns = {field: getattr(self, field)[rows] for field in COLUMNS}
+        return replace(self, **columns, episode_starts=np.cumsum(lengths) - lengths, source="Dataset.select")
+
+    def split(self, holdout: float = 0.2, seed: int = 0) -> tuple["Dataset", "Dataset"]:
+        """(train, holdout): whole episodes, drawn without replacement; both parts keep the order of the log.
+
+        Args:
+            holdout: share of the episodes to set aside, in (0, 1); rounded, at least one episode on each side.
+            seed: the same seed sets the same episodes aside.
+        """
+        if not 0.0 < holdout < 1.0:
+            raise DatasetError(f"Dataset.split: holdout is {holdout}; give a share between 0 and 1, for instance 0.2")
+        if self.num_episodes < 2:
+            raise DatasetError("Dataset.split: one episode cannot be split into whole episodes; log more of them")
+        count = min(max(round(holdout * self.num_episodes), 1), self.num_episodes - 1)
+        order = np.random.default_rng(seed).permutation(self.num_episodes)
+        parts = {"train": np.sort(order[count:]), "holdout": np.sort(order[:count])}
+        train, held = (
+            replace(
+                part := self.select(chosen),
+                provenance={**part.provenance, "split": {"part": name, "holdout": holdout, "seed": seed}},
+                source="Dataset.split",
+            )
+            for name, chosen in parts.items()
+        )
+        return train, held
+
+    def _episode_stops(self) -> np.ndarray:
+        return np.append(self.episode_starts[1:], len(self)).astype(np.int64)
+
+
+def _plain_json(source: str, provenance: Any) -> dict[str, Any]:
+    try:
+        return json.loads(json.dumps(provenance, allow_nan=False))
+    except (TypeError, ValueError) as error:
+        raise DatasetError(
+            f"{source}: provenance must consist of JSON types ({error}); convert arrays with .tolist()"
+        ) from error

@@ -1,0 +1,229 @@
+"""Our own file format: HDF5 with a version and a checksum, written atomically, read without running code.
+
+Layout, version 1: root attributes `format` = "odaf-dataset", `version` = 1, `sha256`; one data set per array of
+`Dataset` under its own name; and `metadata`, a JSON text with the column names and the provenance. The checksum covers
+names, types, shapes and bytes of all arrays and the metadata, not the HDF5 packing around them.
+"""
+
+import contextlib
+import hashlib
+import json
+import os
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import h5py
+import numpy as np
+
+from odaf.errors import DatasetError
+
+if TYPE_CHECKING:
+    from odaf.data.dataset import Dataset
+
+FORMAT = "odaf-dataset"
+VERSION = 1
+
+# name: (dtype, number of axes)
+_FIELDS = {
+    "observations": ("<f4", 2),
+    "actions": ("<f4", 2),
+    "rewards": ("<f4", 1),
+    "next_observations": ("<f4", 2),
+    "terminated": ("|b1", 1),
+    "truncated": ("|b1", 1),
+    "episode_starts": ("<i8", 1),
+    "action_low": ("<f4", 1),
+    "action_high": ("<f4", 1),
+}
+
+
+def write(dataset: "Dataset", path: str | os.PathLike[str]) -> None:
+    """Writes `dataset` to `path` through a temporary file beside it that is renamed when complete.
+
+    Raises:
+        DatasetError: the folder does not exist or cannot be written to.
+    """
+    path = Path(path)
+    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    arrays = {name: getattr(dataset, name) for name in _FIELDS}
+    text = metadata(dataset)
+    try:
+        try:
+            with h5py.File(partial, "w") as file:
+                file.attrs["format"] = FORMAT
+                file.attrs["version"] = VERSION
+                file.attrs["sha256"] = checksum(arrays, text)
+                for name, (dtype, _) in _FIELDS.items():
+                    file.create_dataset(name, data=arrays[name].astype(dtype, copy=False))
+                file.create_dataset("metadata", data=text)
+            with open(partial, "rb+") as handle:
+                os.fsync(handle.fileno())
+            os.replace(partial, path)
+        finally:
+            partial.unlink(missing_ok=True)
+    except OSError as error:
+        raise DatasetError(f"{path}: cannot be written ({error}); choose a folder that exists and is writable") from error
+
+
+@contextlib.contextmanager
+def opened(path: str | os.PathLike[str]) -> Iterator[tuple[h5py.File, str]]:
+    """An HDF5 file open for reading and the name that messages use for it.
+
+    Raises:
+        DatasetError: there is no such file, it is not HDF5, it is cut short, or a read from it fails.
+    """
+    source = os.fspath(path)
+    if not os.path.exists(source):
+        raise DatasetError(f"{source}: there is no such file; check the path, or make the data first")
+    if os.path.isdir(source):
+        raise DatasetError(f"{source}: is a folder; name the HDF5 file inside it")
+    try:
+        size = os.path.getsize(source)
+        if size == 0:
+            raise DatasetError(f"{source}: the file is empty; copy or generate it again")
+        if not h5py.is_hdf5(source):
+            raise DatasetError(
+                f"{source}: not an HDF5 file (its first bytes are {_first_bytes(source)!r}); "
+                "give a file written by odaf or in the D4RL layout"
+            )
+        file = h5py.File(source, "r")
+    except OSError as error:
+        if "truncated" in str(error):
+            raise DatasetError(f"{source}: the file is cut short at {size:,} bytes ({error}); copy it again") from error
+        raise DatasetError(f"{source}: cannot be opened ({error}); copy it again or check its permissions") from error
+    with file:
+        yield file, source
+
+
+def is_own(file: h5py.File, source: str) -> bool:
+    """Whether the file claims to be an odaf dataset; another claim than ours or none at all raises or is False."""
+    claim = file.attrs.get("format")
+    if claim is None:
+        return False
+    if claim != FORMAT:
+        raise DatasetError(
+            f"{source}: the file says its format is {claim!r}, expected {FORMAT!r}; "
+            "give a dataset, not another kind of file"
+        )
+    return True
+
+
+def read(file: h5py.File, source: str) -> "Dataset":
+    """The dataset in an open file of our own format.
+
+    Raises:
+        DatasetError: a newer version, a missing or odd field, a checksum that does not match, or rows that fail a check.
+    """
+    from odaf.data.dataset import Dataset
+
+    version = file.attrs.get("version")
+    if not isinstance(version, (int, np.integer)) or version < 1:
+        raise DatasetError(f"{source}: attribute 'version' is {version!r}, expected a whole number; the file is damaged")
+    if version > VERSION:
+        raise DatasetError(
+            f"{source}: written in version {version} of the format, this odaf reads up to {VERSION}; upgrade odaf"
+        )
+    stored = file.attrs.get("sha256")
+    if not isinstance(stored, str):
+        raise DatasetError(f"{source}: attribute 'sha256' is missing, so damage could not be noticed; copy it again")
+    arrays = {name: _field(file, source, name, dtype, axes) for name, (dtype, axes) in _FIELDS.items()}
+    text = _metadata_text(file, source)
+    found = checksum(arrays, text)
+    if found != stored:
+        raise DatasetError(
+            f"{source}: the contents do not match their checksum (stored {stored[:12]}..., found {found[:12]}...); "
+            "the file was damaged or edited after it was written: copy or generate it again"
+        )
+    try:
+        names = json.loads(text)
+        observation_names, action_names = tuple(names["observation_names"]), tuple(names["action_names"])
+        provenance = dict(names["provenance"])
+    except (ValueError, KeyError, TypeError) as error:
+        raise DatasetError(
+            f"{source}: field 'metadata' cannot be read ({type(error).__name__}: {error}); generate the file again"
+        ) from error
+    return Dataset(
+        **arrays, observation_names=observation_names, action_names=action_names, provenance=provenance, source=source
+    )
+
+
+def metadata(dataset: "Dataset") -> str:
+    """Column names and provenance as canonical JSON: sorted keys, no spaces."""
+    content = {
+        "observation_names": list(dataset.observation_names),
+        "action_names": list(dataset.action_names),
+        "provenance": dataset.provenance,
+    }
+    return json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
+
+
+def checksum(arrays: Mapping[str, np.ndarray], text: str) -> str:
+    """SHA-256 (hex) over the arrays in the order of the format, each after its name, type and shape, then `text`."""
+    digest = hashlib.sha256()
+    for name, (dtype, _) in _FIELDS.items():
+        array = np.ascontiguousarray(arrays[name], dtype=dtype)
+        digest.update(f"{name} {array.dtype.str} {array.shape}\n".encode())
+        digest.update(array.tobytes())
+    digest.update(f"metadata {len(text.encode())}\n".encode())
+    digest.update(text.encode())
+    return digest.hexdigest()
+
+
+def read_array(file: h5py.File, source: str, name: str) -> np.ndarray:
+    """One whole data set; raises `DatasetError` where the file is damaged inside it or keeps it elsewhere."""
+    link = file.get(name, getlink=True)
+    if not isinstance(link, h5py.HardLink):
+        raise DatasetError(f"{source}: field '{name}' is a link to another place; write the data into the file itself")
+    item = file[name]
+    if not isinstance(item, h5py.Dataset):
+        raise DatasetError(f"{source}: field '{name}' is a {type(item).__name__.lower()}, expected an array")
+    if item.is_virtual or item.external:
+        raise DatasetError(f"{source}: field '{name}' is stored in another file; write the data into the file itself")
+    if item.shape is None:
+        raise DatasetError(f"{source}: field '{name}' is empty; generate the file again")
+    try:
+        return np.asarray(item[()])
+    except (OSError, RuntimeError, ValueError, MemoryError) as error:
+        raise DatasetError(
+            f"{source}: field '{name}' of shape {item.shape} cannot be read ({error}); the file is damaged: copy it again"
+        ) from error
+
+
+def require_field(file: h5py.File, source: str, name: str) -> None:
+    """Raises `DatasetError`, listing what is there, unless the file has something called `name` at its root."""
+    if name not in file and file.get(name, getlink=True) is None:
+        raise DatasetError(
+            f"{source}: field '{name}' is missing; the file has {sorted(file.keys())}: rename the column or generate it again"
+        )
+
+
+def _field(file: h5py.File, source: str, name: str, dtype: str, axes: int) -> np.ndarray:
+    require_field(file, source, name)
+    array = read_array(file, source, name)
+    if array.dtype != np.dtype(dtype):
+        raise DatasetError(
+            f"{source}: field '{name}' holds {array.dtype}, expected {np.dtype(dtype)}; generate the file again with odaf"
+        )
+    if array.ndim != axes:
+        raise DatasetError(
+            f"{source}: field '{name}' has shape {array.shape}, expected {axes} axes; generate the file again with odaf"
+        )
+    return array
+
+
+def _metadata_text(file: h5py.File, source: str) -> str:
+    require_field(file, source, "metadata")
+    value = read_array(file, source, "metadata")
+    raw = value.item() if value.ndim == 0 else None
+    if not isinstance(raw, (bytes, str)):
+        raise DatasetError(f"{source}: field 'metadata' must be one JSON text; generate the file again with odaf")
+    try:
+        return raw.decode() if isinstance(raw, bytes) else raw
+    except UnicodeDecodeError as error:
+        raise DatasetError(f"{source}: field 'metadata' is not UTF-8 text ({error}); copy the file again") from error
+
+
+def _first_bytes(path: str) -> bytes:
+    with open(path, "rb") as handle:
+        return handle.read(8)

@@ -1,0 +1,18 @@
+"""The batch a learner sees."""
+
+import equinox as eqx
+from jaxtyping import Array, Float
+
+
+class Transitions(eqx.Module):
+    """Rows (s, a, r, s', end) in learner's units; the same class holds a batch and all columns of a dataset.
+
+    `terminated` is 1.0 only where the task truly ended, so `1 - terminated` is the bootstrap mask; a time limit leaves
+    it at 0.0 and keeps its real successor. Where `terminated` is 1.0 the successor may be a placeholder.
+    """
+
+    observations: Float[Array, "batch obs_dim"]  # normalised
+    actions: Float[Array, "batch act_dim"]  # scaled to [-1, 1]
+    rewards: Float[Array, " batch"]  # as logged
+    next_observations: Float[Array, "batch obs_dim"]  # normalised
+    terminated: Float[Array, " batch"]  # 1.0 at a true end, else 0.0

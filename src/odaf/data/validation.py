@@ -1,0 +1,175 @@
+"""Checks that columns must pass before they become a dataset; each failure names the source, field, rows and remedy."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from odaf.errors import DatasetError
+
+# Actions may miss their bounds by this share of the range (rounding in the logger); they are then moved onto them.
+BOUND_TOLERANCE = 1e-3
+
+Bounds = Mapping[str, tuple[float, float]] | Sequence[Any]
+
+
+def name_rows(mask: np.ndarray, limit: int = 5) -> str:
+    """`3 of 40 rows, the first of them 0, 7, 12`; `mask` [rows] marks the offending ones."""
+    rows = np.flatnonzero(mask)
+    shown = ", ".join(str(row) for row in rows[:limit])
+    if len(rows) == 1:
+        return f"row {shown} of {len(mask)}"
+    return f"{len(rows)} of {len(mask)} rows, the first of them {shown}"
+
+
+def numbers(source: str, field: str, values: Any) -> np.ndarray:
+    """`values` as a real-valued NumPy array, uncopied where possible; strings, objects and complex are refused."""
+    try:
+        array = np.asarray(values)
+    except ValueError as error:  # ragged nested lists
+        raise DatasetError(f"{source}: field '{field}' is not a rectangular array ({error}); pad or cut it") from error
+    if array.dtype.kind not in "biuf":
+        raise DatasetError(
+            f"{source}: field '{field}' holds {array.dtype} values, not real numbers; convert the column to float32"
+        )
+    return array
+
+
+def matrix(source: str, field: str, values: Any) -> np.ndarray:
+    """[rows, dimensions] float32, copied and finite."""
+    array = numbers(source, field, values)
+    if array.ndim != 2:
+        remedy = f"pass {field}[:, None] if it has one dimension per row" if array.ndim == 1 else "flatten each row"
+        raise DatasetError(f"{source}: field '{field}' must be [rows, dimensions], got shape {array.shape}; {remedy}")
+    if array.shape[1] == 0:
+        raise DatasetError(f"{source}: field '{field}' has no columns (shape {array.shape}); name at least one column")
+    return _single_precision(source, field, array)
+
+
+def vector(source: str, field: str, values: Any) -> np.ndarray:
+    """[rows] float32, copied and finite; [rows, 1] is accepted."""
+    return _single_precision(source, field, _one_per_row(source, field, numbers(source, field, values)))
+
+
+def flags(source: str, field: str, values: Any) -> np.ndarray:
+    """[rows] bool, copied; [rows, 1] and numbers that are all 0 or 1 are accepted."""
+    array = _one_per_row(source, field, numbers(source, field, values))
+    if array.dtype != bool:
+        odd = (array != 0) & (array != 1)
+        if odd.any():
+            raise DatasetError(
+                f"{source}: field '{field}' must hold only true and false (or 1 and 0); other values in {name_rows(odd)}: "
+                f"{array[odd][:3].tolist()}; derive the flag first"
+            )
+    return array.astype(bool)
+
+
+def same_length(source: str, columns: Mapping[str, np.ndarray]) -> int:
+    """The common number of rows."""
+    lengths = {field: len(column) for field, column in columns.items()}
+    reference = lengths["observations"]
+    for field, length in lengths.items():
+        if length != reference:
+            raise DatasetError(
+                f"{source}: field '{field}' has {length:,} rows, 'observations' has {reference:,}; "
+                "every field needs one entry per step, so find where rows were lost or added"
+            )
+    if reference == 0:
+        raise DatasetError(f"{source}: there are no rows; a dataset needs at least one transition")
+    return reference
+
+
+def finite(source: str, field: str, array: np.ndarray) -> None:
+    """Refuses NaN and infinity."""
+    bad = ~np.isfinite(array)
+    if bad.any():
+        rows = bad if bad.ndim == 1 else bad.any(axis=1)
+        columns = "" if bad.ndim == 1 else f" (columns {np.flatnonzero(bad.any(axis=0)).tolist()})"
+        raise DatasetError(
+            f"{source}: field '{field}' holds NaN or infinity in {name_rows(rows)}{columns}; "
+            "repair these rows, or drop the whole episodes they belong to"
+        )
+
+
+def action_bounds(source: str, actions: np.ndarray, names: tuple[str, ...], bounds: Bounds | None) -> np.ndarray:
+    """[2, act_dim] float32: lowest and highest action; taken from the data where `bounds` is None."""
+    act_dim = actions.shape[1]
+    if bounds is None:
+        pair = np.stack([actions.min(axis=0), actions.max(axis=0)])
+        remedy = "the column never changes, so its range is unknown: pass action_bounds"
+    elif isinstance(bounds, Mapping):
+        missing = [name for name in names if name not in bounds]
+        unknown = [name for name in bounds if name not in names]
+        if missing or unknown:
+            raise DatasetError(
+                f"{source}: action_bounds must name every action once; missing {missing}, unknown {unknown}, "
+                f"actions are {list(names)}"
+            )
+        pair = np.array([bounds[name] for name in names], np.float32).T
+        remedy = "give (low, high) with low below high"
+    else:
+        try:
+            low, high = bounds
+            pair = np.stack([np.broadcast_to(np.asarray(edge, np.float32), (act_dim,)) for edge in (low, high)])
+        except (ValueError, TypeError) as error:
+            raise DatasetError(
+                f"{source}: action_bounds must be (low, high), each one number or {act_dim} numbers, or a mapping from "
+                f"action name to (low, high); got {bounds!r}"
+            ) from error
+        remedy = "give (low, high) with low below high"
+    wrong = ~(np.isfinite(pair).all(axis=0) & (pair[0] < pair[1]))
+    if wrong.any():
+        index = int(np.flatnonzero(wrong)[0])
+        raise DatasetError(
+            f"{source}: action '{names[index]}' (column {index}) has bounds [{pair[0, index]}, {pair[1, index]}]; {remedy}"
+        )
+    return pair
+
+
+def outside_bounds(source: str, actions: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """[rows] bool: actions a hair outside their bounds. Those further out than `BOUND_TOLERANCE` of the range raise."""
+    slack = BOUND_TOLERANCE * (high - low)
+    excess = np.maximum(low - actions, actions - high)
+    far = excess > slack
+    if far.any():
+        index = int(np.flatnonzero(far.any(axis=0))[0])
+        row = int(np.flatnonzero(far[:, index])[0])
+        raise DatasetError(
+            f"{source}: field 'actions' leaves its bounds in {name_rows(far.any(axis=1))}: column {index} is "
+            f"{actions[row, index]} in row {row}, allowed [{low[index]}, {high[index]}]; "
+            "pass the true action_bounds, or clip the actions before"
+        )
+    return (excess > 0).any(axis=1)
+
+
+def names(source: str, field: str, given: Sequence[str] | None, count: int, prefix: str) -> tuple[str, ...]:
+    """One distinct name per column; `prefix_0`, `prefix_1`, ... where none are given."""
+    if given is None:
+        return tuple(f"{prefix}_{index}" for index in range(count))
+    result = tuple(given)
+    if isinstance(given, str) or len(result) != count or len(set(result)) != count:
+        raise DatasetError(f"{source}: {field} must be {count} different names, one per column; got {given!r}")
+    if not all(isinstance(name, str) and name for name in result):
+        raise DatasetError(f"{source}: {field} must be non-empty strings; got {given!r}")
+    return result
+
+
+def _one_per_row(source: str, field: str, array: np.ndarray) -> np.ndarray:
+    if array.ndim == 2 and array.shape[1] == 1:
+        return array[:, 0]
+    if array.ndim != 1:
+        raise DatasetError(f"{source}: field '{field}' must be [rows], one value per step; got shape {array.shape}")
+    return array
+
+
+def _single_precision(source: str, field: str, array: np.ndarray) -> np.ndarray:
+    finite(source, field, array)
+    with np.errstate(over="ignore"):
+        result = array.astype(np.float32)
+    bad = ~np.isfinite(result)
+    if bad.any():
+        rows = bad if bad.ndim == 1 else bad.any(axis=1)
+        raise DatasetError(
+            f"{source}: field '{field}' is too large for single precision in {name_rows(rows)}; change its unit"
+        )
+    return result

@@ -1,0 +1,135 @@
+"""Mazes on a grid of unit cells: walls, start, goal, the cells of the detour, and coordinates."""
+
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from odaf.errors import ConfigError
+
+Cell = tuple[int, int]
+
+_MOVES = ((1, 0), (-1, 0), (0, 1), (0, -1))
+
+
+@dataclass(frozen=True)
+class Maze:
+    """A walled grid. Cell (i, j) is row i from the top, column j from the left, one unit wide.
+
+    The origin of the plane is the centre of the grid, x to the right and y upwards, so the centre of cell (i, j) is
+    x = j + 0.5 - columns / 2, y = rows / 2 - i - 0.5.
+
+    Attributes:
+        name: how reports call it.
+        rows: one string per row, "1" a wall and "0" free; the border must be wall.
+        start: where episodes begin.
+        goal: where the reward's target lies.
+        avoid: cells of the logged detour; a path that visits none of them and ends at the goal has been stitched.
+    """
+
+    name: str
+    rows: tuple[str, ...]
+    start: Cell
+    goal: Cell
+    avoid: tuple[Cell, ...] = ()
+
+    def __post_init__(self):
+        object.__setattr__(self, "rows", tuple(self.rows))
+        object.__setattr__(self, "start", _cell(self.name, "start", self.start))
+        object.__setattr__(self, "goal", _cell(self.name, "goal", self.goal))
+        object.__setattr__(self, "avoid", tuple(_cell(self.name, "avoid", cell) for cell in self.avoid))
+        widths = {len(row) for row in self.rows}
+        if not self.rows or len(widths) != 1 or widths == {0} or set("".join(self.rows)) - {"0", "1"}:
+            raise ConfigError(
+                f"maze '{self.name}': rows must be equally long strings of '1' (wall) and '0' (free); got {self.rows}"
+            )
+        border = [self.rows[0], self.rows[-1], *(row[0] + row[-1] for row in self.rows)]
+        if "0" in "".join(border):
+            raise ConfigError(f"maze '{self.name}': the border must be wall ('1') all around; got {self.rows}")
+        for field, cell in (("start", self.start), ("goal", self.goal), *(("avoid", cell) for cell in self.avoid)):
+            if not self.is_free(cell):
+                raise ConfigError(f"maze '{self.name}': {field} cell {cell} is a wall or outside the map {self.rows}")
+        self.path(self.start, self.goal)
+
+    def is_free(self, cell: Cell) -> bool:
+        """Whether `cell` is inside the map and not a wall."""
+        row, column = cell
+        return 0 <= row < len(self.rows) and 0 <= column < len(self.rows[0]) and self.rows[row][column] == "0"
+
+    def centre(self, cell: Cell) -> np.ndarray:
+        """[2] float64, (x, y) of the middle of `cell`."""
+        row, column = cell
+        return np.array([column + 0.5 - len(self.rows[0]) / 2, len(self.rows) / 2 - row - 0.5])
+
+    def cells(self, positions: np.ndarray) -> np.ndarray:
+        """[..., 2] int64, the (i, j) of the cells that `positions` [..., 2] lie in."""
+        positions = np.asarray(positions, np.float64)
+        row = np.floor(len(self.rows) / 2 - positions[..., 1])
+        column = np.floor(positions[..., 0] + len(self.rows[0]) / 2)
+        return np.stack([row, column], axis=-1).astype(np.int64)
+
+    def cell(self, position: np.ndarray) -> Cell:
+        """The cell that one position lies in."""
+        row, column = self.cells(position).tolist()
+        return row, column
+
+    def path(self, start: Cell, goal: Cell) -> list[Cell]:
+        """A shortest path of neighbouring free cells, both ends included; among equals, down before up before right.
+
+        Raises:
+            ConfigError: no free cells connect the two.
+        """
+        came_from: dict[Cell, Cell] = {goal: goal}
+        queue = deque([goal])
+        while queue and start not in came_from:
+            row, column = queue.popleft()
+            for down, right in _MOVES:
+                neighbour = (row + down, column + right)
+                if self.is_free(neighbour) and neighbour not in came_from:
+                    came_from[neighbour] = (row, column)
+                    queue.append(neighbour)
+        if start not in came_from:
+            raise ConfigError(f"maze '{self.name}': no free cells connect {start} with {goal} in {self.rows}")
+        path = [start]
+        while path[-1] != goal:
+            path.append(came_from[path[-1]])
+        return path
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain JSON types; `from_dict` restores an equal `Maze`."""
+        fields = asdict(self)
+        return {
+            **fields,
+            "rows": list(self.rows),
+            "start": list(self.start),
+            "goal": list(self.goal),
+            "avoid": [list(cell) for cell in self.avoid],
+        }
+
+    @classmethod
+    def from_dict(cls, fields: Mapping[str, Any]) -> "Maze":
+        """Inverse of `to_dict`; `ConfigError` names fields that are missing or unknown."""
+        known = {"name", "rows", "start", "goal", "avoid"}
+        missing, unknown = {"rows", "start", "goal"} - set(fields), set(fields) - known
+        if missing or unknown:
+            raise ConfigError(f"maze: missing fields {sorted(missing)}, unknown fields {sorted(unknown)}")
+        return cls(**{"name": "custom", **fields})
+
+
+def _cell(name: str, field: str, value: Any) -> Cell:
+    try:
+        row, column = (int(part) for part in value)
+    except (TypeError, ValueError) as error:
+        raise ConfigError(f"maze '{name}': {field} must be a cell (row, column); got {value!r}") from error
+    return row, column
+
+
+STITCH = Maze(
+    name="stitch",
+    rows=("111111", "100111", "100001", "111111"),
+    start=(1, 2),
+    goal=(2, 4),
+    avoid=((1, 1), (2, 1)),
+)

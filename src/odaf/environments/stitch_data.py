@@ -1,0 +1,286 @@
+"""Logs of scripted drivers in a maze: no episode takes the good path, yet its pieces are all there.
+
+The default configuration rebuilds the PointMaze task of the MBRCSL paper (Zhou et al. 2023): half of the episodes
+drive from the start to a junction and wait; the other half reach the goal, but by a detour that crosses the junction.
+The best policy drives start, junction, goal, which nobody logged.
+
+Differs from the original: all 200 transitions of an episode are kept, since the simulator hands us the last successor
+(the original stored none and dropped the row), so the rewards in the file sum to the episode's true return.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from importlib.metadata import version
+from typing import Any
+
+import numpy as np
+
+from odaf.data.dataset import Dataset
+from odaf.environments.controller import WaypointController
+from odaf.environments.maze import STITCH, Cell, Maze
+from odaf.errors import ConfigError, DatasetError
+
+GOAL_NOISE = 0.25  # a driver's goal is a cell's centre plus U(-0.25, 0.25) in x and y
+REACHED_DISTANCE = 0.5
+REACHED_SPEED = 0.5
+ENVIRONMENT_SEEDS = 1000  # episodes start from a seed below this, so start and target noise repeat
+
+
+@dataclass(frozen=True)
+class Route:
+    """One kind of episode.
+
+    Attributes:
+        name: how statistics call it.
+        goals: cells to drive to, in order.
+        repeats: episodes of this kind.
+        after: once the last goal is reached, "hold" keeps steering to it, "random" draws uniform actions.
+        start: cell to begin in; None is the maze's start.
+    """
+
+    name: str
+    goals: tuple[Cell, ...]
+    repeats: int
+    after: str = "hold"
+    start: Cell | None = None
+
+    def __post_init__(self):
+        object.__setattr__(self, "goals", tuple((int(row), int(column)) for row, column in self.goals))
+        if self.start is not None:
+            object.__setattr__(self, "start", (int(self.start[0]), int(self.start[1])))
+        if not self.goals:
+            raise ConfigError(f"route '{self.name}': goals is empty; name at least one cell to drive to")
+        if self.repeats < 0:
+            raise ConfigError(f"route '{self.name}': repeats is {self.repeats}; give 0 or more episodes")
+        if self.after not in ("hold", "random"):
+            raise ConfigError(f"route '{self.name}': after is {self.after!r}; known are 'hold' and 'random'")
+
+
+@dataclass(frozen=True)
+class StitchConfig:
+    """What to log: a maze, the kinds of episodes driven in it, and the figures the result must show.
+
+    Attributes:
+        maze: the map with start, goal and the detour's cells.
+        routes: kinds of episodes, logged in this order.
+        steps: length of every episode.
+        accept: (figure, lowest, highest) the log must satisfy; none checks nothing. Figures are undiscounted episode
+            returns: "mean" and "best" of the whole log, "NAME/mean" and "NAME/best" of the route NAME.
+    """
+
+    maze: Maze
+    routes: tuple[Route, ...]
+    steps: int = 200
+    accept: tuple[tuple[str, float, float], ...] = ()
+
+    def __post_init__(self):
+        object.__setattr__(self, "routes", tuple(self.routes))
+        object.__setattr__(self, "accept", tuple((str(name), float(low), float(high)) for name, low, high in self.accept))
+        title = f"stitching data for maze '{self.maze.name}'"
+        if self.steps < 1:
+            raise ConfigError(f"{title}: steps is {self.steps}; give the length of an episode, 1 or more")
+        if sum(route.repeats for route in self.routes) < 1:
+            raise ConfigError(f"{title}: the routes ask for no episode at all; give one of them repeats of 1 or more")
+        names = [route.name for route in self.routes]
+        if len(set(names)) != len(names):
+            raise ConfigError(f"{title}: route names must differ; got {names}")
+        for route in self.routes:
+            here = self.maze.start if route.start is None else route.start
+            for cell in (here, *route.goals):
+                if not self.maze.is_free(cell):
+                    raise ConfigError(f"{title}: route '{route.name}' visits {cell}, a wall or outside {self.maze.rows}")
+                self.maze.path(here, cell)
+        known = {"mean", "best", *(f"{name}/{figure}" for name in names for figure in ("mean", "best"))}
+        for name, _, _ in self.accept:
+            if name not in known:
+                raise ConfigError(f"{title}: accept names '{name}'; known are {sorted(known)}")
+
+    def with_repeats(self, repeats: int) -> "StitchConfig":
+        """The same routes, each logged `repeats` times; without `accept`, whose limits belong to the full size."""
+        return replace(self, routes=tuple(replace(route, repeats=repeats) for route in self.routes), accept=())
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain JSON types; `from_dict` restores an equal configuration."""
+        return {
+            "maze": self.maze.to_dict(),
+            "routes": [
+                {
+                    "name": route.name,
+                    "goals": [list(cell) for cell in route.goals],
+                    "repeats": route.repeats,
+                    "after": route.after,
+                    "start": None if route.start is None else list(route.start),
+                }
+                for route in self.routes
+            ],
+            "steps": self.steps,
+            "accept": [list(check) for check in self.accept],
+        }
+
+    @classmethod
+    def from_dict(cls, fields: Mapping[str, Any]) -> "StitchConfig":
+        """Inverse of `to_dict`; `ConfigError` names fields that are missing or unknown."""
+        _check_fields("stitching data", fields, required={"maze", "routes"}, optional={"steps", "accept"})
+        for route in fields["routes"]:
+            _check_fields("route", route, required={"name", "goals", "repeats"}, optional={"after", "start"})
+        return cls(
+            **{**fields, "maze": Maze.from_dict(fields["maze"]), "routes": tuple(Route(**r) for r in fields["routes"])}
+        )
+
+
+# The paper's task: (2, 2) is the junction, (1, 1) and (2, 1) are the detour.
+_PAPER = StitchConfig(
+    maze=STITCH,
+    routes=(
+        Route("junction-1", goals=((2, 2),), repeats=250),
+        Route("junction-2", goals=((2, 2),), repeats=250),
+        Route("detour-hold", goals=((1, 1), (2, 1), (2, 4)), repeats=250),
+        Route("detour-random", goals=((1, 1), (2, 1), (2, 4)), repeats=250, after="random"),
+    ),
+    accept=(
+        ("mean", 40.2, 41.2),
+        ("best", 70.0, 75.0),
+        ("junction-1/best", 0.0, 36.0),
+        ("junction-2/best", 0.0, 36.0),
+        ("detour-hold/mean", 51.0, 59.0),
+        ("detour-random/mean", 51.0, 59.0),
+    ),
+)
+
+CONFIGS: Mapping[str, StitchConfig] = {"stitch": _PAPER}
+
+
+def generate(config: StitchConfig = _PAPER, seed: int = 0) -> Dataset:
+    """Drives every route of `config` and logs it; one seed gives the same bits on the same machine and versions.
+
+    `provenance` of the result holds the configuration, the seed, the simulator's versions, the environment's
+    description, and under "statistics" the returns of the whole log and of each route.
+
+    Raises:
+        DatasetError: a figure leaves the limits in `config.accept`; the simulation is then not the one they describe.
+    """
+    from odaf.environments.point_maze import PointMaze
+
+    environment = PointMaze(config.maze, config.steps)
+    logs, owners = [], []
+    for index, (route, stream) in enumerate(
+        zip(config.routes, np.random.SeedSequence(seed).spawn(len(config.routes)), strict=True)
+    ):
+        rng = np.random.default_rng(stream)
+        logs += [_drive(environment, config, route, rng) for _ in range(route.repeats)]
+        owners += [index] * route.repeats
+    environment.close()
+
+    states, actions, rewards = (np.concatenate(column) for column in zip(*logs, strict=True))
+    states = states.reshape(len(logs), config.steps + 1, 4)
+    returns = rewards.reshape(len(logs), config.steps).sum(axis=1)
+    truncated = np.zeros((len(logs), config.steps), bool)
+    truncated[:, -1] = True
+    statistics = _statistics(config, returns, np.array(owners))
+    source = f"stitching data for maze '{config.maze.name}', seed {seed}"
+    _accept(source, config, statistics)
+    return Dataset.from_arrays(
+        states[:, :-1].reshape(-1, 4),
+        actions,
+        rewards,
+        states[:, 1:].reshape(-1, 4),
+        truncated=truncated.reshape(-1),
+        action_bounds=(-1.0, 1.0),
+        observation_names=("x", "y", "vx", "vy"),
+        action_names=("force_x", "force_y"),
+        provenance={
+            "generator": "odaf.environments.stitch_data",
+            "seed": seed,
+            "config": config.to_dict(),
+            "environment": {"name": "pointmaze", "maze": config.maze.to_dict(), "steps": config.steps},
+            "versions": {name: version(name) for name in ("gymnasium", "gymnasium-robotics", "mujoco", "numpy")},
+            "statistics": statistics,
+        },
+        source=source,
+    )
+
+
+def direct_controller_return(config: StitchConfig = _PAPER, episodes: int = 50, seed: int = 0) -> np.ndarray:
+    """[episodes] returns of the scripted driver sent straight to the goal, where it stays: a measure of the ceiling.
+
+    The driver does not know the hidden target either. It is no upper bound: it brakes at waypoints.
+    """
+    from odaf.environments.point_maze import PointMaze
+
+    environment = PointMaze(config.maze, config.steps)
+    route = Route("direct", goals=(config.maze.goal,), repeats=episodes)
+    rng = np.random.default_rng(seed)
+    returns = [_drive(environment, config, route, rng)[2].sum() for _ in range(episodes)]
+    environment.close()
+    return np.array(returns)
+
+
+def _drive(
+    environment: Any, config: StitchConfig, route: Route, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """One episode: (states [steps + 1, 4], actions [steps, 2], rewards [steps]), all float64."""
+    states = np.empty((config.steps + 1, 4))
+    actions = np.empty((config.steps, 2))
+    rewards = np.empty(config.steps)
+    start = config.maze.start if route.start is None else route.start
+    environment.reset(seed=int(rng.integers(ENVIRONMENT_SEEDS)), options={"start": start})
+    states[0] = environment.state
+    controller = WaypointController(config.maze, rng)
+    current, wandering = 0, False
+    goal = _noisy_goal(config.maze, route.goals[0], rng)
+    for step in range(config.steps):
+        state = states[step]
+        final = current == len(route.goals) - 1
+        if not wandering and _reached(state, goal, slow=not (final and route.after == "random")):
+            if not final:
+                current += 1
+                goal = _noisy_goal(config.maze, route.goals[current], rng)
+            elif route.after == "random":
+                wandering = True
+        actions[step] = rng.uniform(-1.0, 1.0, 2) if wandering else controller.act(state, goal)
+        _, rewards[step], _, _, _ = environment.step(actions[step])
+        states[step + 1] = environment.state
+    return states, actions, rewards
+
+
+def _noisy_goal(maze: Maze, cell: Cell, rng: np.random.Generator) -> np.ndarray:
+    return maze.centre(cell) + rng.uniform(-GOAL_NOISE, GOAL_NOISE, 2)
+
+
+def _reached(state: np.ndarray, goal: np.ndarray, slow: bool) -> bool:
+    near = np.hypot(*(state[:2] - goal)) <= REACHED_DISTANCE
+    return bool(near and (not slow or np.abs(state[2:]).max() <= REACHED_SPEED))
+
+
+def _statistics(config: StitchConfig, returns: np.ndarray, owners: np.ndarray) -> dict[str, Any]:
+    def figures(values: np.ndarray) -> dict[str, Any]:
+        return {
+            "episodes": len(values),
+            "mean": float(values.mean()),
+            "std": float(values.std()),
+            "best": float(values.max()),
+            "worst": float(values.min()),
+        }
+
+    routes = {
+        route.name: figures(returns[owners == index]) for index, route in enumerate(config.routes) if route.repeats > 0
+    }
+    return {**figures(returns), "routes": routes}
+
+
+def _accept(source: str, config: StitchConfig, statistics: Mapping[str, Any]) -> None:
+    for name, low, high in config.accept:
+        route, _, figure = name.rpartition("/")
+        value = (statistics["routes"][route] if route else statistics)[figure]
+        if not low <= value <= high:
+            raise DatasetError(
+                f"{source}: the {figure} return{f' of route {route!r}' if route else ''} is {value:.2f}, allowed "
+                f"[{low}, {high}]; the simulator or the routes differ from those the limits were measured with: "
+                "check the versions, or leave out accept"
+            )
+
+
+def _check_fields(what: str, fields: Mapping[str, Any], required: set[str], optional: set[str]) -> None:
+    missing, unknown = required - set(fields), set(fields) - required - optional
+    if missing or unknown:
+        raise ConfigError(f"{what}: missing fields {sorted(missing)}, unknown fields {sorted(unknown)}")
