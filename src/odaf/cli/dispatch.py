@@ -114,8 +114,8 @@ def run_guarded(command: Command, arguments: list[str], debug: bool) -> int:
         return code
     except SystemExit as stop:  # the option parser prints its own message and stops with 0 or 2
         return stop.code if isinstance(stop.code, int) else int(stop.code is not None)
-    except KeyboardInterrupt:
-        print(f"\n{name}: stopped", file=sys.stderr)
+    except KeyboardInterrupt as stop:
+        print(f"\n{name}: stopped{f'; {stop}' if str(stop) else ''}", file=sys.stderr)
         return EXIT_INTERRUPTED
     except BrokenPipeError:  # the reader of our output went away, as `head` does
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -3,6 +3,7 @@
 import ast
 import dataclasses
 import inspect
+import itertools
 import textwrap
 from typing import Annotated, Any, TypeVar, get_type_hints
 
@@ -35,7 +36,7 @@ def field_help(kind: type) -> dict[str, str]:
         except (OSError, TypeError):  # a class made at run time has no source
             continue
         statements = body.body if isinstance(body, ast.ClassDef) else []
-        for field, text in zip(statements, statements[1:], strict=False):
+        for field, text in itertools.pairwise(statements):
             if (
                 isinstance(field, ast.AnnAssign)
                 and isinstance(field.target, ast.Name)

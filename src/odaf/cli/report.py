@@ -1,0 +1,36 @@
+"""`odaf report DIR...`: draw one page that compares runs."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from odaf.cli.options import parse
+from odaf.errors import ConfigError
+
+
+@dataclass(frozen=True)
+class ReportOptions:
+    """Draw one page that compares runs: trajectories, curves, scores, settings. It needs no network to be read."""
+
+    directories: Annotated[
+        tyro.conf.Positional[tuple[Path, ...]],
+        tyro.conf.arg(metavar="DIR [DIR ...]", help_behavior_hint="(at least one)"),
+    ]
+    """What `odaf train --out` named, or folders that hold such directories."""
+    out: Annotated[Path, tyro.conf.arg(metavar="FILE")]
+    """HTML file to write."""
+    title: Annotated[str | None, tyro.conf.arg(metavar="TEXT")] = None
+    """Heading of the page; without it, the names of the methods."""
+
+
+def run(arguments: list[str]) -> None:
+    """Entry point of the command."""
+    options = parse(ReportOptions, arguments, "report")
+    if not options.directories:
+        raise ConfigError("name at least one run directory, as in `odaf report runs/maze --out report.html`")
+
+    from odaf.experiments import report
+
+    print(f"wrote {report.build(options.directories, options.out, options.title)}")

@@ -1,0 +1,78 @@
+"""How results are printed: plain tables that a terminal, a file and a person can read."""
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from odaf.evaluation import Run, Scores
+
+
+def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Columns aligned by the longest entry; the first to the left, the others to the right."""
+    widths = [max(len(row[column]) for row in [header, *rows]) for column in range(len(header))]
+    lines = []
+    for row in [header, ["-" * width for width in widths], *rows]:
+        first, *others = (
+            entry.ljust(w) if i == 0 else entry.rjust(w) for i, (entry, w) in enumerate(zip(row, widths, strict=True))
+        )
+        lines.append("  ".join([first, *others]).rstrip())
+    return "\n".join(lines)
+
+
+def number(value: float | None, digits: int = 1) -> str:
+    """A number with thousands separators; a dash for what is not known."""
+    return "-" if value is None else f"{value:,.{digits}f}"
+
+
+def run_table(summaries: Mapping[int, Mapping[str, Any]]) -> str:
+    """One line for each seed of a run: where it stands and what its last checkpoint scored."""
+    evaluations = {seed: summary.get("evaluation") or {} for seed, summary in summaries.items()}
+    rates = sorted({name for entry in evaluations.values() for name in entry if name.endswith("_rate")})
+    header = ["seed", "updates", "status", "mean return", "std", *(_words(rate) for rate in rates), "updates/s"]
+    rows = [
+        [
+            str(seed),
+            f"{summary['step']:,}",
+            str(summary["status"]),
+            number(evaluations[seed].get("mean_return")),
+            number(evaluations[seed].get("std_return")),
+            *(number(evaluations[seed].get(rate), 2) for rate in rates),
+            number(summary.get("updates_per_second")),
+        ]
+        for seed, summary in summaries.items()
+    ]
+    return table(header, rows)
+
+
+def score_table(scores: "Scores") -> str:
+    """One line for each seed that was evaluated."""
+    rates = sorted({rate for score in scores.by_seed for rate in score.rates})
+    header = ["seed", "updates", "mean return", "std", *(_words(rate) for rate in rates), "episodes"]
+    rows = [
+        [
+            str(score.seed),
+            f"{score.step:,}",
+            number(score.mean_return),
+            number(score.std_return),
+            *(number(score.rates.get(rate), 2) for rate in rates),
+            str(len(score.returns)),
+        ]
+        for score in scores.by_seed
+    ]
+    return table(header, rows)
+
+
+def print_run(run: "Run") -> None:
+    """The table of a run, the mean over its seeds, its warnings, and what to do next."""
+    summaries = run.summary
+    print(run_table(summaries))
+    if len(summaries) > 1 and all(summary.get("evaluation") for summary in summaries.values()):
+        print(f"\n{run.scores()}")
+    for seed, summary in summaries.items():
+        for warning in summary["warnings"]:
+            print(f"\nwarning, seed {seed}: {warning['message']}")
+    print(f"\nThe run is in {run.directory}; draw it with: odaf report {run.directory} --out report.html")
+
+
+def _words(name: str) -> str:
+    return name.removesuffix("_rate").replace("_", " ")

@@ -1,0 +1,38 @@
+"""`odaf resume DIR`: go on with a run exactly where it stopped."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from odaf.cli.interrupts import resumable
+from odaf.cli.options import parse
+from odaf.cli.results import print_run
+
+
+@dataclass(frozen=True)
+class ResumeOptions:
+    """Go on with a run exactly where it stopped. The result has the bits of a run that never stopped."""
+
+    directory: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIR")]
+    """What `odaf train --out` named."""
+    steps: Annotated[int | None, tyro.conf.arg(metavar="INT")] = None
+    """Updates for each seed in all, to make the run longer; without it, the number it was begun with."""
+    on_divergence: Annotated[Literal["warn", "stop"] | None, tyro.conf.arg(metavar="{warn,stop}")] = None
+    """What to do when values leave the range that the rewards allow; without it, as the run was begun."""
+    quiet: bool = False
+    """Show no progress, only the result."""
+
+
+def run(arguments: list[str]) -> None:
+    """Entry point of the command."""
+    options = parse(ResumeOptions, arguments, "resume")
+
+    from odaf.experiments.fit import resume
+
+    with resumable(options.directory):
+        result = resume(
+            options.directory, options.steps, on_divergence=options.on_divergence, progress=not options.quiet
+        )
+    print_run(result)

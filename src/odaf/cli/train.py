@@ -1,0 +1,124 @@
+"""`odaf train PRESET`: learn policies from a data set; every field of the preset is an option."""
+
+import dataclasses
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import tyro
+
+from odaf.cli.interrupts import resumable
+from odaf.cli.options import parse, settings_of, with_settings
+from odaf.cli.results import print_run
+from odaf.errors import ConfigError
+from odaf.experiments import presets
+
+if TYPE_CHECKING:
+    from odaf.data import Dataset
+    from odaf.evaluation import Rollouts
+
+
+@dataclasses.dataclass(frozen=True)
+class RunOptions:
+    """The data, where the run goes and how long it lasts."""
+
+    data: Annotated[Path, tyro.conf.arg(metavar="FILE")]
+    """Data set to learn from: a file of `odaf data generate`, or one in the D4RL layout."""
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
+    """Directory for everything the run leaves behind; the same command again continues the run in it."""
+    steps: int = 20_000
+    """Updates for each seed."""
+    seeds: tuple[int, ...] = (0,)
+    """One policy is trained for each; the same seed gives the same policy."""
+    evaluate_every: int = 5_000
+    """Updates between two evaluations; the last update is evaluated too. 0 never evaluates."""
+    episodes: int = 50
+    """Episodes in each evaluation."""
+    env: Annotated[str | None, tyro.conf.arg(metavar="ID")] = None
+    """Gymnasium id of the environment to evaluate in; without it, the one that the data set names."""
+    checkpoint_every: int = 5_000
+    """Updates between two checkpoints."""
+    on_divergence: Literal["warn", "stop"] = "warn"
+    """What to do when values leave the range that the rewards allow."""
+    quiet: bool = False
+    """Show no progress, only the result."""
+
+
+def run(arguments: list[str]) -> None:
+    """Entry point of the command."""
+    if not arguments or arguments[0].startswith("-"):
+        return _without_preset(arguments)
+    preset, rest = arguments[0], arguments[1:]
+    algorithm = presets.load(preset)
+    options: Any = parse(_options(preset, algorithm), rest, f"train {preset}")
+    return train(preset, with_settings(algorithm, options.settings), options.run)
+
+
+def train(preset: str, algorithm: Any, options: RunOptions) -> None:
+    """Train, then print where each seed stands."""
+    from odaf.data import Dataset
+    from odaf.experiments.fit import fit
+
+    dataset = Dataset.load(options.data)
+    with resumable(options.out):
+        result = fit(
+            algorithm,
+            dataset,
+            steps=options.steps,
+            directory=options.out,
+            seeds=options.seeds,
+            evaluate=_evaluation(options, dataset),
+            checkpoint_every=options.checkpoint_every,
+            on_divergence=options.on_divergence,
+            progress=not options.quiet,
+            preset=preset,
+            data_path=options.data,
+        )
+    print_run(result)
+
+
+def _evaluation(options: RunOptions, dataset: "Dataset") -> "Rollouts | None":
+    from odaf.evaluation import Rollouts
+
+    if options.evaluate_every == 0:
+        return None
+    if options.env is None and dataset.environment is None:
+        print(
+            f"{options.data} names no environment and no --env was given: policies are not evaluated", file=sys.stderr
+        )
+        return None
+    return Rollouts(options.env, episodes=options.episodes, every=options.evaluate_every)
+
+
+def _options(preset: str, algorithm: Any) -> type:
+    """The dataclass of all options of one preset."""
+    settings = dataclasses.make_dataclass(
+        "Settings",
+        settings_of(algorithm),
+        frozen=True,
+        namespace={"__doc__": "The learner; the defaults are the preset's values."},
+    )
+    return dataclasses.make_dataclass(
+        "TrainOptions",
+        [
+            ("run", Annotated[RunOptions, tyro.conf.arg(name="")]),
+            ("settings", Annotated[settings, tyro.conf.arg(name="")]),
+        ],
+        frozen=True,
+        namespace={"__doc__": f"{presets.names()[preset]}."},
+    )
+
+
+def _without_preset(arguments: list[str]) -> None:
+    """The list of presets, as help or as part of an error message."""
+    known = presets.names()
+    width = max(map(len, known))
+    lines = "\n".join(f"  {name:<{width}}   {line}" for name, line in known.items())
+    if "-h" not in arguments and "--help" not in arguments:
+        raise ConfigError(f"name a preset first, as in `odaf train odaf --data FILE --out DIR`; known are\n{lines}")
+    print(
+        "usage: odaf train PRESET --data FILE --out DIR [options]\n\n"
+        "Learn policies from a data set.\n\n"
+        f"presets:\n{lines}\n\n"
+        "`odaf train PRESET --help` lists every setting of that preset."
+    )
