@@ -146,9 +146,7 @@ def _shift(
         return starts
     kept = ~dropped
     if not kept.any():
-        raise DatasetError(
-            f"{source}: every episode is one row long and none has a successor; pass next_observations="
-        )
+        raise DatasetError(f"{source}: every episode is one row long and none has a successor; pass next_observations=")
     findings.append(
         _finding(
             "dropped-without-successor",

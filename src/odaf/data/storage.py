@@ -11,7 +11,7 @@ import json
 import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import h5py
 import numpy as np
@@ -63,7 +63,9 @@ def write(dataset: "Dataset", path: str | os.PathLike[str]) -> None:
         finally:
             partial.unlink(missing_ok=True)
     except OSError as error:
-        raise DatasetError(f"{path}: cannot be written ({error}); choose a folder that exists and is writable") from error
+        raise DatasetError(
+            f"{path}: cannot be written ({error}); choose a folder that exists and is writable"
+        ) from error
 
 
 @contextlib.contextmanager
@@ -119,7 +121,9 @@ def read(file: h5py.File, source: str) -> "Dataset":
 
     version = file.attrs.get("version")
     if not isinstance(version, (int, np.integer)) or version < 1:
-        raise DatasetError(f"{source}: attribute 'version' is {version!r}, expected a whole number; the file is damaged")
+        raise DatasetError(
+            f"{source}: attribute 'version' is {version!r}, expected a whole number; the file is damaged"
+        )
     if version > VERSION:
         raise DatasetError(
             f"{source}: written in version {version} of the format, this odaf reads up to {VERSION}; upgrade odaf"

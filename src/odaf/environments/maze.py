@@ -1,17 +1,16 @@
 """Mazes on a grid of unit cells: walls, start, goal, the cells of the detour, and coordinates."""
 
+import math
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
-import numpy as np
-
 from odaf.errors import ConfigError
 
 Cell = tuple[int, int]
 
-_MOVES = ((1, 0), (-1, 0), (0, 1), (0, -1))
+_MOVES = ((0, 1), (0, -1), (-1, 0), (1, 0))  # right, left, up, down: the order of preference among equals
 
 
 @dataclass(frozen=True)
@@ -58,43 +57,36 @@ class Maze:
         row, column = cell
         return 0 <= row < len(self.rows) and 0 <= column < len(self.rows[0]) and self.rows[row][column] == "0"
 
-    def centre(self, cell: Cell) -> np.ndarray:
-        """[2] float64, (x, y) of the middle of `cell`."""
+    def centre(self, cell: Cell) -> tuple[float, float]:
+        """(x, y) of the middle of `cell`."""
         row, column = cell
-        return np.array([column + 0.5 - len(self.rows[0]) / 2, len(self.rows) / 2 - row - 0.5])
+        return column + 0.5 - len(self.rows[0]) / 2, len(self.rows) / 2 - row - 0.5
 
-    def cells(self, positions: np.ndarray) -> np.ndarray:
-        """[..., 2] int64, the (i, j) of the cells that `positions` [..., 2] lie in."""
-        positions = np.asarray(positions, np.float64)
-        row = np.floor(len(self.rows) / 2 - positions[..., 1])
-        column = np.floor(positions[..., 0] + len(self.rows[0]) / 2)
-        return np.stack([row, column], axis=-1).astype(np.int64)
-
-    def cell(self, position: np.ndarray) -> Cell:
-        """The cell that one position lies in."""
-        row, column = self.cells(position).tolist()
-        return row, column
+    def cell(self, position: tuple[float, float]) -> Cell:
+        """The cell that (x, y) lies in; on an edge, the one below or to the right."""
+        x, y = position
+        return math.floor(len(self.rows) / 2 - y), math.floor(x + len(self.rows[0]) / 2)
 
     def path(self, start: Cell, goal: Cell) -> list[Cell]:
-        """A shortest path of neighbouring free cells, both ends included; among equals, down before up before right.
+        """A shortest path of neighbouring free cells, both ends included; ties go right, left, up, down.
 
         Raises:
             ConfigError: no free cells connect the two.
         """
-        came_from: dict[Cell, Cell] = {goal: goal}
+        distance = {goal: 0}
         queue = deque([goal])
-        while queue and start not in came_from:
-            row, column = queue.popleft()
-            for down, right in _MOVES:
-                neighbour = (row + down, column + right)
-                if self.is_free(neighbour) and neighbour not in came_from:
-                    came_from[neighbour] = (row, column)
+        while queue:
+            cell = queue.popleft()
+            for neighbour in _neighbours(cell):
+                if self.is_free(neighbour) and neighbour not in distance:
+                    distance[neighbour] = distance[cell] + 1
                     queue.append(neighbour)
-        if start not in came_from:
+        if start not in distance:
             raise ConfigError(f"maze '{self.name}': no free cells connect {start} with {goal} in {self.rows}")
         path = [start]
         while path[-1] != goal:
-            path.append(came_from[path[-1]])
+            nearer = [cell for cell in _neighbours(path[-1]) if distance.get(cell) == distance[path[-1]] - 1]
+            path.append(nearer[0])
         return path
 
     def to_dict(self) -> dict[str, Any]:
@@ -116,6 +108,10 @@ class Maze:
         if missing or unknown:
             raise ConfigError(f"maze: missing fields {sorted(missing)}, unknown fields {sorted(unknown)}")
         return cls(**{"name": "custom", **fields})
+
+
+def _neighbours(cell: Cell) -> list[Cell]:
+    return [(cell[0] + down, cell[1] + right) for down, right in _MOVES]
 
 
 def _cell(name: str, field: str, value: Any) -> Cell:

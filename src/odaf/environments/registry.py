@@ -31,7 +31,9 @@ def make(environment: Mapping[str, Any]) -> "Callable[[], gymnasium.Env]":
         try:
             from odaf.environments.point_maze import PointMaze
         except ImportError as error:
-            raise ConfigError(f"environment 'pointmaze' needs a simulator that is missing ({error}); {_EXTRA}") from error
+            raise ConfigError(
+                f"environment 'pointmaze' needs a simulator that is missing ({error}); {_EXTRA}"
+            ) from error
         return lambda: PointMaze(maze, steps)
     if name == "gymnasium":
         _expect(environment, required={"name", "id"}, optional={"kwargs"})

@@ -8,17 +8,21 @@ Differs from the original: all 200 transitions of an episode are kept, since the
 (the original stored none and dropped the row), so the rewards in the file sum to the episode's true return.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from importlib.metadata import version
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from odaf.data.dataset import Dataset
 from odaf.environments.controller import WaypointController
 from odaf.environments.maze import STITCH, Cell, Maze
-from odaf.errors import ConfigError, DatasetError
+from odaf.errors import ConfigError
+
+if TYPE_CHECKING:
+    from odaf.environments.point_maze import PointMaze
 
 GOAL_NOISE = 0.25  # a driver's goal is a cell's centre plus U(-0.25, 0.25) in x and y
 REACHED_DISTANCE = 0.5
@@ -75,7 +79,9 @@ class StitchConfig:
 
     def __post_init__(self):
         object.__setattr__(self, "routes", tuple(self.routes))
-        object.__setattr__(self, "accept", tuple((str(name), float(low), float(high)) for name, low, high in self.accept))
+        object.__setattr__(
+            self, "accept", tuple((str(name), float(low), float(high)) for name, low, high in self.accept)
+        )
         title = f"stitching data for maze '{self.maze.name}'"
         if self.steps < 1:
             raise ConfigError(f"{title}: steps is {self.steps}; give the length of an episode, 1 or more")
@@ -88,7 +94,9 @@ class StitchConfig:
             here = self.maze.start if route.start is None else route.start
             for cell in (here, *route.goals):
                 if not self.maze.is_free(cell):
-                    raise ConfigError(f"{title}: route '{route.name}' visits {cell}, a wall or outside {self.maze.rows}")
+                    raise ConfigError(
+                        f"{title}: route '{route.name}' visits {cell}, a wall or outside {self.maze.rows}"
+                    )
                 self.maze.path(here, cell)
         known = {"mean", "best", *(f"{name}/{figure}" for name in names for figure in ("mean", "best"))}
         for name, _, _ in self.accept:
@@ -154,10 +162,9 @@ def generate(config: StitchConfig = _PAPER, seed: int = 0) -> Dataset:
     """Drives every route of `config` and logs it; one seed gives the same bits on the same machine and versions.
 
     `provenance` of the result holds the configuration, the seed, the simulator's versions, the environment's
-    description, and under "statistics" the returns of the whole log and of each route.
-
-    Raises:
-        DatasetError: a figure leaves the limits in `config.accept`; the simulation is then not the one they describe.
+    description, the returns of the whole log and of each route under "statistics", and whether they lie within
+    `config.accept` under "acceptance"; each figure that does not is also a finding. The limits are statistical: the
+    best of some hundred episodes misses its limits for some seeds.
     """
     from odaf.environments.point_maze import PointMaze
 
@@ -178,7 +185,7 @@ def generate(config: StitchConfig = _PAPER, seed: int = 0) -> Dataset:
     truncated[:, -1] = True
     statistics = _statistics(config, returns, np.array(owners))
     source = f"stitching data for maze '{config.maze.name}', seed {seed}"
-    _accept(source, config, statistics)
+    acceptance = _acceptance(config, statistics)
     return Dataset.from_arrays(
         states[:, :-1].reshape(-1, 4),
         actions,
@@ -195,28 +202,34 @@ def generate(config: StitchConfig = _PAPER, seed: int = 0) -> Dataset:
             "environment": {"name": "pointmaze", "maze": config.maze.to_dict(), "steps": config.steps},
             "versions": {name: version(name) for name in ("gymnasium", "gymnasium-robotics", "mujoco", "numpy")},
             "statistics": statistics,
+            "acceptance": acceptance,
+            "findings": _acceptance_findings(acceptance),
         },
         source=source,
     )
 
 
-def direct_controller_return(config: StitchConfig = _PAPER, episodes: int = 50, seed: int = 0) -> np.ndarray:
-    """[episodes] returns of the scripted driver sent straight to the goal, where it stays: a measure of the ceiling.
+def direct_controller_return(
+    config: StitchConfig = _PAPER, episodes: int = 50, seed: int = 0, knows_target: bool = True
+) -> np.ndarray:
+    """[episodes] returns of the scripted driver sent from the start straight to the goal, where it stays.
 
-    The driver does not know the hidden target either. It is no upper bound: it brakes at waypoints.
+    With `knows_target` it heads for the hidden target, which no policy can see: a ceiling (136 on average in the
+    paper's maze). Without, it heads for the goal's cell like the logged drivers do (110): what a policy that is no
+    faster than the drivers can expect from joining their paths.
     """
     from odaf.environments.point_maze import PointMaze
 
     environment = PointMaze(config.maze, config.steps)
     route = Route("direct", goals=(config.maze.goal,), repeats=episodes)
     rng = np.random.default_rng(seed)
-    returns = [_drive(environment, config, route, rng)[2].sum() for _ in range(episodes)]
+    returns = [_drive(environment, config, route, rng, aim_at_target=knows_target)[2].sum() for _ in range(episodes)]
     environment.close()
     return np.array(returns)
 
 
 def _drive(
-    environment: Any, config: StitchConfig, route: Route, rng: np.random.Generator
+    environment: "PointMaze", config: StitchConfig, route: Route, rng: np.random.Generator, aim_at_target: bool = False
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """One episode: (states [steps + 1, 4], actions [steps, 2], rewards [steps]), all float64."""
     states = np.empty((config.steps + 1, 4))
@@ -224,12 +237,11 @@ def _drive(
     rewards = np.empty(config.steps)
     start = config.maze.start if route.start is None else route.start
     environment.reset(seed=int(rng.integers(ENVIRONMENT_SEEDS)), options={"start": start})
-    states[0] = environment.state
+    state = states[0] = environment.state
     controller = WaypointController(config.maze, rng)
     current, wandering = 0, False
-    goal = _noisy_goal(config.maze, route.goals[0], rng)
+    goal = environment.target if aim_at_target else _noisy_goal(config.maze, route.goals[0], rng)
     for step in range(config.steps):
-        state = states[step]
         final = current == len(route.goals) - 1
         if not wandering and _reached(state, goal, slow=not (final and route.after == "random")):
             if not final:
@@ -237,19 +249,21 @@ def _drive(
                 goal = _noisy_goal(config.maze, route.goals[current], rng)
             elif route.after == "random":
                 wandering = True
-        actions[step] = rng.uniform(-1.0, 1.0, 2) if wandering else controller.act(state, goal)
-        _, rewards[step], _, _, _ = environment.step(actions[step])
-        states[step + 1] = environment.state
+        actions[step] = action = rng.uniform(-1.0, 1.0, 2).tolist() if wandering else controller.act(state, goal)
+        _, rewards[step], _, _, _ = environment.step(action)
+        state = states[step + 1] = environment.state
     return states, actions, rewards
 
 
-def _noisy_goal(maze: Maze, cell: Cell, rng: np.random.Generator) -> np.ndarray:
-    return maze.centre(cell) + rng.uniform(-GOAL_NOISE, GOAL_NOISE, 2)
+def _noisy_goal(maze: Maze, cell: Cell, rng: np.random.Generator) -> tuple[float, float]:
+    x, y = maze.centre(cell)
+    right, up = rng.uniform(-GOAL_NOISE, GOAL_NOISE, 2).tolist()
+    return x + right, y + up
 
 
-def _reached(state: np.ndarray, goal: np.ndarray, slow: bool) -> bool:
-    near = np.hypot(*(state[:2] - goal)) <= REACHED_DISTANCE
-    return bool(near and (not slow or np.abs(state[2:]).max() <= REACHED_SPEED))
+def _reached(state: tuple[float, float, float, float], goal: tuple[float, float], slow: bool) -> bool:
+    near = math.dist(state[:2], goal) <= REACHED_DISTANCE
+    return near and (not slow or max(abs(state[2]), abs(state[3])) <= REACHED_SPEED)
 
 
 def _statistics(config: StitchConfig, returns: np.ndarray, owners: np.ndarray) -> dict[str, Any]:
@@ -268,16 +282,27 @@ def _statistics(config: StitchConfig, returns: np.ndarray, owners: np.ndarray) -
     return {**figures(returns), "routes": routes}
 
 
-def _accept(source: str, config: StitchConfig, statistics: Mapping[str, Any]) -> None:
+def _acceptance(config: StitchConfig, statistics: Mapping[str, Any]) -> dict[str, Any]:
+    checks = []
     for name, low, high in config.accept:
         route, _, figure = name.rpartition("/")
         value = (statistics["routes"][route] if route else statistics)[figure]
-        if not low <= value <= high:
-            raise DatasetError(
-                f"{source}: the {figure} return{f' of route {route!r}' if route else ''} is {value:.2f}, allowed "
-                f"[{low}, {high}]; the simulator or the routes differ from those the limits were measured with: "
-                "check the versions, or leave out accept"
-            )
+        checks.append({"figure": name, "value": value, "lowest": low, "highest": high, "passed": low <= value <= high})
+    return {"passed": all(check["passed"] for check in checks) if checks else None, "checks": checks}
+
+
+def _acceptance_findings(acceptance: Mapping[str, Any]) -> list[dict[str, Any]]:
+    return [
+        {
+            "finding": "acceptance-failed",
+            "count": 1,
+            "message": f"return {check['figure']} is {check['value']:.2f}, expected "
+            f"[{check['lowest']:g}, {check['highest']:g}]: an unlucky seed, or another simulator or other routes than "
+            "those the limits were measured with",
+        }
+        for check in acceptance["checks"]
+        if not check["passed"]
+    ]
 
 
 def _check_fields(what: str, fields: Mapping[str, Any], required: set[str], optional: set[str]) -> None:
