@@ -10,30 +10,77 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 _HOME_OF = {
+    "BehaviourCloning": "odaf.algorithms.behaviour_cloning",
     "CheckpointError": "odaf.errors",
     "ConfigError": "odaf.errors",
     "Dataset": "odaf.data",
     "DatasetError": "odaf.errors",
     "DivergenceError": "odaf.errors",
+    "EnsembleSAC": "odaf.algorithms.ensemble_sac",
+    "ODAF": "odaf.experiments.methods",
+    "OODPessimism": "odaf.algorithms.terms",
     "OdafError": "odaf.errors",
+    "OutcomePenalty": "odaf.algorithms.terms",
+    "Policy": "odaf.evaluation",
+    "Rollouts": "odaf.evaluation",
+    "Run": "odaf.evaluation",
+    "evaluate": "odaf.experiments.evaluate",
+    "fit": "odaf.experiments.fit",
+    "load_run": "odaf.experiments.fit",
+    "preset": "odaf.experiments.methods",
+    "resume": "odaf.experiments.fit",
+    "rollout": "odaf.evaluation",
 }
 
+# The rooms themselves, so that `odaf.environments.make` works after `import odaf`.
+_ROOMS = ("algorithms", "components", "data", "environments", "evaluation", "experiments", "training")
+
 if TYPE_CHECKING:
+    from odaf import algorithms as algorithms
+    from odaf import components as components
+    from odaf import data as data
+    from odaf import environments as environments
+    from odaf import evaluation as evaluation
+    from odaf import experiments as experiments
+    from odaf import training as training
+    from odaf.algorithms.behaviour_cloning import BehaviourCloning
+    from odaf.algorithms.ensemble_sac import EnsembleSAC
+    from odaf.algorithms.terms import OODPessimism, OutcomePenalty
     from odaf.data import Dataset
     from odaf.errors import CheckpointError, ConfigError, DatasetError, DivergenceError, OdafError
+    from odaf.evaluation import Policy, Rollouts, Run, rollout
+    from odaf.experiments.evaluate import evaluate
+    from odaf.experiments.fit import fit, load_run, resume
+    from odaf.experiments.methods import ODAF, preset
 
 __all__ = [
+    "ODAF",
+    "BehaviourCloning",
     "CheckpointError",
     "ConfigError",
     "Dataset",
     "DatasetError",
     "DivergenceError",
+    "EnsembleSAC",
+    "OODPessimism",
     "OdafError",
+    "OutcomePenalty",
+    "Policy",
+    "Rollouts",
+    "Run",
     "__version__",
+    "evaluate",
+    "fit",
+    "load_run",
+    "preset",
+    "resume",
+    "rollout",
 ]
 
 
 def __getattr__(name: str) -> Any:
+    if name in _ROOMS:
+        return import_module(f"odaf.{name}")
     home = _HOME_OF.get(name)
     if home is None:
         raise AttributeError(f"module 'odaf' has no attribute {name!r}; it offers {', '.join(sorted(_HOME_OF))}")
@@ -43,4 +90,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_HOME_OF})
+    return sorted({*globals(), *_HOME_OF, *_ROOMS})

@@ -1,0 +1,29 @@
+"""`odaf demo`: stitch a maze from poor demonstrations, and look at the result."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from odaf.cli.options import parse
+
+
+@dataclass(frozen=True)
+class DemoOptions:
+    """Record poor demonstrations in a maze, learn from them with three methods, and draw what came out.
+
+    No demonstration takes the good path. The page at the end shows which method found it all the same.
+    """
+
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("runs/demo")
+    """Directory for the data, the runs, report.html and summary.json; the same command again goes on where it stopped."""
+
+
+def run(arguments: list[str]) -> None:
+    """Entry point of the command."""
+    options = parse(DemoOptions, arguments, "demo")
+
+    from odaf.experiments import demo
+
+    demo.run(options.out)
