@@ -1,0 +1,57 @@
+"""A run as its user holds it: policies, scores and curves of a directory that training wrote."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from odaf.evaluation.scores import Scores, scores_from
+from odaf.training.checkpoints import Checkpoint
+from odaf.training.policy import Policy
+from odaf.training.run_directory import RunDirectory
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run, finished or not; needs nothing but its directory, least of all the dataset."""
+
+    files: RunDirectory
+
+    @property
+    def directory(self) -> Path:
+        """Where the run lies, as it was given."""
+        return self.files.path
+
+    @property
+    def seeds(self) -> tuple[int, ...]:
+        """The training seeds."""
+        return self.files.seeds
+
+    @property
+    def config(self) -> dict[str, Any]:
+        """Every resolved setting."""
+        return self.files.config
+
+    @property
+    def summary(self) -> dict[int, dict[str, Any]]:
+        """The state of affairs at each seed's last checkpoint."""
+        return {seed: self.files.summary(seed) for seed in self.seeds}
+
+    def policy(self, seed: int | None = None, step: int | None = None) -> Policy:
+        """What a seed (None: the first) had learned after `step` updates (None: at its last checkpoint)."""
+        return self.files.policy(self.seeds[0] if seed is None else seed, step)
+
+    def scores(self) -> Scores:
+        """Last-checkpoint scores of every seed.
+
+        Raises:
+            CheckpointError: a seed was not evaluated.
+        """
+        return scores_from(self.summary, str(self.directory))
+
+    def checkpoints(self, seed: int | None = None) -> list[Checkpoint]:
+        """A seed's checkpoints, earliest first."""
+        return self.files.checkpoints(self.seeds[0] if seed is None else seed)
+
+    def metrics(self, seed: int | None = None) -> list[dict[str, Any]]:
+        """A seed's lines of `metrics.jsonl`."""
+        return self.files.metrics(self.seeds[0] if seed is None else seed)

@@ -1,0 +1,100 @@
+"""What a run is worth: its last checkpoint, seed by seed."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from odaf.errors import CheckpointError
+from odaf.evaluation.statistics import Estimate, t_interval
+
+
+@dataclass(frozen=True)
+class SeedScore:
+    """One seed's evaluation at its last checkpoint; never its best.
+
+    Attributes:
+        seed: the training seed.
+        step: updates the policy had seen.
+        mean_return: over the evaluation episodes.
+        std_return: over the evaluation episodes, divisor N.
+        rates: shares of episodes, by name, such as `success_rate`.
+        returns: of each episode.
+    """
+
+    seed: int
+    step: int
+    mean_return: float
+    std_return: float
+    rates: dict[str, float]
+    returns: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Scores:
+    """Last-checkpoint scores of all seeds of a run."""
+
+    by_seed: tuple[SeedScore, ...]
+
+    def estimate(self, confidence: float = 0.95) -> Estimate:
+        """Mean over seeds of their mean returns, spread over seeds, and Student's interval."""
+        return t_interval([score.mean_return for score in self.by_seed], confidence)
+
+    @property
+    def mean(self) -> float:
+        """Mean over seeds of their mean returns."""
+        return self.estimate().mean
+
+    @property
+    def std(self) -> float:
+        """Standard deviation over seeds (divisor n - 1) of their mean returns; NaN for one seed."""
+        return self.estimate().std
+
+    def rate(self, name: str) -> float | None:
+        """Mean over seeds of a rate such as `success_rate`; None if the environment does not report it."""
+        rates = [score.rates.get(name) for score in self.by_seed]
+        known = [rate for rate in rates if rate is not None]
+        return sum(known) / len(known) if known and len(known) == len(rates) else None
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON types: the estimate, rates, and every seed."""
+        estimate = self.estimate()
+        names = sorted({name for score in self.by_seed for name in score.rates})
+        return {
+            "mean_return": estimate.mean,
+            "std_return": estimate.std,
+            "interval": [estimate.low, estimate.high],
+            "confidence": estimate.confidence,
+            **{name: self.rate(name) for name in names},
+            "seeds": {
+                str(score.seed): {"step": score.step, "mean_return": score.mean_return} for score in self.by_seed
+            },
+        }
+
+    def __str__(self) -> str:
+        return f"return {self.estimate()} over {len(self.by_seed)} seeds"
+
+
+def scores_from(summaries: Mapping[int, Mapping[str, Any]], where: str) -> Scores:
+    """Scores from each seed's `summary.json`.
+
+    Raises:
+        CheckpointError: a seed has not been evaluated yet.
+    """
+    missing = [seed for seed, summary in summaries.items() if not summary.get("evaluation")]
+    if missing:
+        raise CheckpointError(
+            f"{where}: no evaluation of seeds {', '.join(map(str, missing))} yet; "
+            "train with evaluation, go on with `odaf resume`, or measure checkpoints with `odaf evaluate`"
+        )
+    return Scores(tuple(_score(seed, summary["evaluation"]) for seed, summary in summaries.items()))
+
+
+def _score(seed: int, evaluation: Mapping[str, Any]) -> SeedScore:
+    return SeedScore(
+        seed=seed,
+        step=evaluation["step"],
+        mean_return=evaluation["mean_return"],
+        std_return=evaluation["std_return"],
+        rates={name: rate for name, rate in evaluation.items() if name.endswith("_rate")},
+        returns=tuple(evaluation["returns"]),
+    )

@@ -1,0 +1,419 @@
+"""Training a learner on a dataset: one run directory, one or several seeds, resumable at any point."""
+
+import contextlib
+import os
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import jax
+import jax.numpy as jnp
+
+from odaf.algorithms.base import Algorithm
+from odaf.algorithms.config import to_dict
+from odaf.data.dataset import Dataset
+from odaf.data.normalisation import Normaliser
+from odaf.data.sampling import device_columns
+from odaf.data.transitions import Transitions
+from odaf.errors import ConfigError, DatasetError, DivergenceError
+from odaf.training import checkpoints, loop, run_directory
+from odaf.training.evaluator import Evaluator
+from odaf.training.files import read_json, write_json
+from odaf.training.logging import JsonLines, Logger
+from odaf.training.monitors import DivergenceMonitor, TrainingWarning
+from odaf.training.policy import Policy
+from odaf.training.progress import ProgressReport, default_progress
+from odaf.training.run_directory import RunDirectory
+
+OnDivergence = Literal["warn", "stop"]
+
+
+def fit(
+    algorithm: Algorithm,
+    dataset: Dataset,
+    *,
+    steps: int,
+    directory: str | os.PathLike[str],
+    seeds: Sequence[int] = (0,),
+    evaluate: Evaluator | None = None,
+    checkpoint_every: int = 5000,
+    stretch: int = 1000,
+    on_divergence: OnDivergence = "warn",
+    progress: bool | ProgressReport = True,
+    preset: str | None = None,
+    loggers: Sequence[Logger] = (),
+    data_path: str | os.PathLike[str] | None = None,
+) -> RunDirectory:
+    """Trains `algorithm` on `dataset` once for every seed and leaves all results in `directory`.
+
+    A directory that already holds a run with the same settings and data is continued, so the same call can be repeated
+    after a crash. Same seed, machine and versions give the same bits, however often the run was stopped.
+
+    Args:
+        algorithm: the learner's settings.
+        dataset: the logged data.
+        steps: updates for each seed.
+        directory: where the run is written; must be empty, absent, or hold this very run.
+        seeds: distinct non-negative integers, trained one after another.
+        evaluate: measures the policy every `evaluate.every` updates and after the last; None measures nothing.
+        checkpoint_every: updates between two checkpoints; there is always one before the first update and one after the
+            last.
+        stretch: updates in one compiled call, and between two lines of metrics.
+        on_divergence: "warn" notes that values leave the range that rewards allow; "stop" also ends training there.
+        progress: whether to show a progress bar, or an own report.
+        preset: name under which the settings are known, for the record.
+        loggers: receivers of metrics beside `metrics.jsonl`.
+        data_path: the file that `dataset` was read from, kept for `resume`.
+
+    Raises:
+        ConfigError: a setting is out of its range, or the directory holds something else.
+        DivergenceError: training diverged and `on_divergence` is "stop"; the state is saved first.
+    """
+    _check_settings(steps, seeds, checkpoint_every, stretch, on_divergence, evaluate)
+    config = {
+        "format": run_directory.FORMAT,
+        "version": run_directory.VERSION,
+        "preset": preset,
+        "algorithm": to_dict(algorithm),
+        "steps": int(steps),
+        "seeds": [int(seed) for seed in seeds],
+        "evaluate": None if evaluate is None else evaluate.to_dict(),
+        "checkpoint_every": int(checkpoint_every),
+        "stretch": int(stretch),
+        "on_divergence": on_divergence,
+    }
+    normaliser = Normaliser.fit(dataset.observations)
+    data = run_directory.data_record(dataset, normaliser, data_path)
+    path = Path(directory)
+    path.mkdir(parents=True, exist_ok=True)
+    with _locked(path):
+        run = run_directory.begin(path, config, data, dataset)
+        _train(run, dataset, evaluate, on_divergence, default_progress(progress), loggers)
+    return run
+
+
+def resume(
+    directory: str | os.PathLike[str],
+    steps: int | None = None,
+    *,
+    dataset: Dataset | None = None,
+    evaluate: Evaluator | None = None,
+    on_divergence: OnDivergence | None = None,
+    progress: bool | ProgressReport = True,
+    loggers: Sequence[Logger] = (),
+) -> RunDirectory:
+    """Goes on exactly where the run in `directory` stopped; the result has the bits of a run that never stopped.
+
+    Args:
+        directory: a run's directory.
+        steps: updates for each seed in all, to make a run longer; None keeps the number it was begun with.
+        dataset: the data it was begun with; None reads them from the path that the run remembers.
+        evaluate: as in `fit`; must have the settings that the run was begun with.
+        on_divergence: None keeps the run's setting. A warning that stopped the run once does not stop it again.
+        progress: as in `fit`.
+        loggers: as in `fit`.
+
+    Raises:
+        CheckpointError: the directory holds no run, or a damaged one.
+        ConfigError: `steps` is less than the run has, or the evaluator differs.
+        DatasetError: the data are not those the run was begun with.
+    """
+    run = RunDirectory(Path(directory))
+    config = run.config
+    if dataset is None:
+        if run.data["path"] is None:
+            raise ConfigError(
+                f"{run.path}: its data came from memory, not from a file; give them again as `dataset`, "
+                "or save them with Dataset.save and train from the file"
+            )
+        dataset = Dataset.load(run.data["path"])
+    _check_same_data(run, dataset)
+    if (None if evaluate is None else evaluate.to_dict()) != config["evaluate"]:
+        raise ConfigError(
+            f"{run.path}: evaluate: the run was begun with {config['evaluate']!r}; "
+            "give an evaluator with these settings"
+        )
+    if steps is not None and steps < config["steps"]:
+        raise ConfigError(
+            f"{run.path}: steps: {steps} asked, but the run is made for {config['steps']} and cannot be shortened; "
+            "use an earlier checkpoint instead"
+        )
+    with _locked(run.path):
+        if steps is not None and steps > config["steps"]:
+            write_json(run.path / "config.json", {**config, "steps": int(steps)})
+            run = RunDirectory(run.path)
+        chosen = on_divergence or config["on_divergence"]
+        _check_settings(run.config["steps"], run.seeds, config["checkpoint_every"], config["stretch"], chosen, evaluate)
+        record = run.path / "environment.json"
+        environment = read_json(record, "It is needed only for the record: put {} into it to go on.")
+        resumed = [*environment.get("resumed", []), run_directory.process_record()]
+        write_json(record, {**environment, "resumed": resumed})
+        _train(run, dataset, evaluate, chosen, default_progress(progress), loggers)
+    return run
+
+
+def load_run(directory: str | os.PathLike[str]) -> RunDirectory:
+    """The run in `directory`, finished or not.
+
+    Raises:
+        CheckpointError: there is no run.
+    """
+    run = RunDirectory(Path(directory))
+    _ = run.config
+    return run
+
+
+def _train(
+    run: RunDirectory,
+    dataset: Dataset,
+    evaluate: Evaluator | None,
+    on_divergence: str,
+    progress: ProgressReport,
+    loggers: Sequence[Logger],
+) -> None:
+    columns = train_stretch = None
+    try:
+        for seed in run.seeds:
+            training = _SeedTraining(run, seed, evaluate, on_divergence, progress, train_stretch)
+            if training.is_finished():
+                training.write_summary()
+                continue
+            if columns is None:
+                columns = device_columns(dataset, run.normaliser)
+            training.go(dataset, columns, loggers)
+            train_stretch = training.train_stretch
+    finally:
+        progress.close()
+
+
+@dataclass
+class _Record:
+    """What a checkpoint remembers beside the state."""
+
+    seconds: dict[str, float]
+    pretrain: dict[str, Any]
+    warnings: list[TrainingWarning]
+    evaluation: dict[str, Any] | None = None
+    status: str = "running"
+
+
+class _SeedTraining:
+    """One seed's way from its last checkpoint to the last step."""
+
+    def __init__(
+        self,
+        run: RunDirectory,
+        seed: int,
+        evaluate: Evaluator | None,
+        on_divergence: str,
+        progress: ProgressReport,
+        train_stretch: loop.TrainStretch | None,
+    ):
+        self.run, self.seed, self.evaluate, self.progress = run, seed, evaluate, progress
+        self.stops_on_divergence = on_divergence == "stop"
+        self.train_stretch = train_stretch  # compiled by an earlier seed, or None
+        self.directory = run.seed_directory(seed)
+        self.steps: int = run.config["steps"]
+        self.stretch: int = run.config["stretch"]
+        self.checkpoint_every: int = run.config["checkpoint_every"]
+        found = run.checkpoints(seed)
+        self.checkpoint = found[-1] if found else None
+        self.step = self.checkpoint.step if self.checkpoint else 0
+        self.record = _Record({}, {}, [])
+        if self.checkpoint:
+            summary = self.checkpoint.header()["summary"]
+            self.record = _Record(
+                summary["seconds"],
+                summary["pretrain"],
+                [TrainingWarning(**warning) for warning in summary["warnings"]],
+                summary["evaluation"],
+                summary["status"],
+            )
+
+    def is_finished(self) -> bool:
+        """Whether the last checkpoint is the last one asked for, and evaluated."""
+        evaluated = self.evaluate is None or (self.record.evaluation or {}).get("step") == self.step
+        return self.checkpoint is not None and self.step >= self.steps and evaluated
+
+    def go(self, dataset: Dataset, columns: Transitions, loggers: Sequence[Logger]) -> None:
+        self.directory.mkdir(exist_ok=True)
+        run_directory.clean(self.directory, self.step)
+        self.began = time.perf_counter() - self.record.seconds.get("total", 0.0)
+        state = loop.settled(self.run.state(self.seed, self.step)) if self.checkpoint else self._first_state(dataset)
+        lines = JsonLines()
+        everyone = (lines, *loggers)
+        try:
+            for logger in everyone:
+                logger.open(self.directory, self.step)
+            self._go_on(state, columns, everyone, lines)
+        finally:
+            for logger in everyone:
+                logger.close()
+
+    def _first_state(self, dataset: Dataset) -> Any:
+        run, began = self.run, time.perf_counter()
+        key = loop.pretrain_key(self.seed)
+        stages: set[str] = set()
+
+        def report(stage: str, done: int, total: int) -> None:
+            if stage not in stages:
+                stages.add(stage)
+                self.progress.start(f"seed {self.seed}: {stage}", total)
+            self.progress.advance(done)
+
+        side, findings = run.algorithm.pretrain(dataset, run.normaliser, key, report)
+        for sentence in findings.get("warnings", []):
+            self._warn(TrainingWarning("pretrain", 0, sentence))
+        self.record.pretrain = {name: value for name, value in findings.items() if name != "warnings"}
+        self.record.seconds["pretrain"] = time.perf_counter() - began
+        state = loop.settled(loop.first_state(run.algorithm, run.spec, loop.init_key(self.seed), side))
+        self._save(state)
+        return state
+
+    def _go_on(self, state: Any, columns: Transitions, loggers: Sequence[Logger], lines: JsonLines) -> None:
+        run, record, seconds = self.run, self.record, self.record.seconds
+        monitor = DivergenceMonitor(
+            run.spec, run.algorithm.discount, run.config["algorithm"], seen={w.kind for w in record.warnings}
+        )
+        key = loop.training_key(self.seed)
+        record.status = "running"
+        if self.train_stretch is None:
+            began = time.perf_counter()
+            self.progress.start(f"seed {self.seed}: compiling", 0)
+            here = jnp.asarray(self.step)
+            self.train_stretch = loop.compiled_stretch((run.algorithm, columns, key, here, here), state)
+            _add(seconds, "compile", time.perf_counter() - began)
+        self.progress.start(f"seed {self.seed}: training", self.steps, self.step)
+        while self.step < self.steps or not self.is_finished():
+            stop = self._next_stop()
+            diverged: list[TrainingWarning] = []
+            if stop > self.step:
+                fixed = (run.algorithm, columns, key, jnp.asarray(self.step), jnp.asarray(stop))
+                began = time.perf_counter()
+                state, reduced = self.train_stretch(fixed, state)
+                metrics = {name: float(value) for name, value in jax.device_get(reduced).items()}
+                took = time.perf_counter() - began
+                _add(seconds, "train", took)
+                rate = (stop - self.step) / took
+                self.step = stop
+                diverged = monitor.observe(stop, metrics)
+                timing = {"time/updates_per_second": rate, "time/seconds": time.perf_counter() - self.began}
+                for logger in loggers:
+                    logger.log(stop, {**metrics, **timing})
+            if self.evaluate is not None and (self.step % self.evaluate.every == 0 or self.step >= self.steps):
+                self._measure(state, self.evaluate, loggers)
+            for warning in diverged:
+                self._warn(warning)
+            stopped = bool(diverged) and self.stops_on_divergence
+            last = self.step >= self.steps
+            if stopped or last or self.step % self.checkpoint_every == 0:
+                record.status = "diverged" if stopped else "finished" if last else "running"
+                lines.sync()
+                self._save(state)
+            self.progress.advance(self.step)
+            if stopped:
+                raise DivergenceError(
+                    f"{self.directory}: {diverged[0].message} The state was saved at step {self.step}; "
+                    f"`odaf resume {run.path} --on-divergence warn` goes on regardless."
+                )
+
+    def _next_stop(self) -> int:
+        intervals = [self.stretch, self.checkpoint_every]
+        if self.evaluate is not None:
+            intervals.append(self.evaluate.every)
+        return min(self.steps, *((self.step // interval + 1) * interval for interval in intervals))
+
+    def _measure(self, state: Any, evaluate: Evaluator, loggers: Sequence[Logger]) -> None:
+        began = time.perf_counter()
+        run = self.run
+        names = tuple(run.data["summary"]["observation_names"])
+        policy = Policy(run.algorithm, run.spec, run.normaliser, state, names)
+        found = evaluate(policy, self.directory, self.step)
+        _add(self.record.seconds, "evaluate", time.perf_counter() - began)
+        self.record.evaluation = {"step": self.step, **found.summary}
+        for logger in loggers:
+            logger.log(self.step, found.metrics)
+        self.progress.advance(self.step, f"return {found.headline:,.1f}")
+
+    def _warn(self, warning: TrainingWarning) -> None:
+        self.record.warnings.append(warning)
+        self.progress.message(f"seed {self.seed}: {warning.message}")
+
+    def _summary(self) -> dict[str, Any]:
+        seconds = self.record.seconds
+        train = seconds.get("train", 0.0)
+        return {
+            "seed": self.seed,
+            "step": self.step,
+            "status": self.record.status,
+            "evaluation": self.record.evaluation,
+            "updates_per_second": self.step / train if train else None,
+            "seconds": {name: seconds.get(name, 0.0) for name in ("pretrain", "compile", "train", "evaluate", "total")},
+            "pretrain": self.record.pretrain,
+            "warnings": [warning.to_dict() for warning in self.record.warnings],
+        }
+
+    def _save(self, state: Any) -> None:
+        self.record.seconds["total"] = time.perf_counter() - self.began
+        record = {"seed": self.seed, "summary": self._summary()}
+        self.checkpoint = checkpoints.save(self.directory / "checkpoints", self.step, state, record)
+        self.write_summary()
+
+    def write_summary(self) -> None:
+        """Writes `summary.json`, which says what the last checkpoint's header says."""
+        write_json(self.directory / "summary.json", self._summary())
+
+
+def _add(seconds: dict[str, float], name: str, more: float) -> None:
+    seconds[name] = seconds.get(name, 0.0) + more
+
+
+def _check_settings(
+    steps: int,
+    seeds: Sequence[int],
+    checkpoint_every: int,
+    stretch: int,
+    on_divergence: str,
+    evaluate: Evaluator | None,
+) -> None:
+    counts = {"steps": steps, "checkpoint_every": checkpoint_every, "stretch": stretch}
+    if evaluate is not None:
+        counts["evaluate.every"] = evaluate.every
+    for name, value in counts.items():
+        if value < 1:
+            raise ConfigError(f"{name}: must be at least 1, got {value}")
+    if steps >= 2**31:
+        raise ConfigError(f"steps: must be below 2^31, got {steps}")
+    if not seeds or len(set(seeds)) < len(seeds) or any(not 0 <= seed < 2**32 for seed in seeds):
+        raise ConfigError(f"seeds: must be distinct integers from 0 to 2^32 - 1, at least one, got {list(seeds)}")
+    if on_divergence not in ("warn", "stop"):
+        raise ConfigError(f"on_divergence: must be 'warn' or 'stop', got {on_divergence!r}")
+
+
+def _check_same_data(run: RunDirectory, dataset: Dataset) -> None:
+    found, expected = dataset.fingerprint(), run.data["sha256"]
+    if found != expected:
+        raise DatasetError(
+            f"{run.data['path'] or 'dataset'}: its fingerprint is {found[:12]}..., but {run.path} was begun with data "
+            f"of fingerprint {expected[:12]}...; give the same data, or train into another directory"
+        )
+
+
+@contextlib.contextmanager
+def _locked(path: Path) -> Iterator[None]:
+    """Keeps a second process out of the run directory; the lock vanishes with the process that holds it."""
+    try:
+        import fcntl
+    except ImportError:  # no such lock on this platform
+        yield
+        return
+    with (path / ".lock").open("w") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            raise ConfigError(
+                f"{path}: another process is training in it; wait for it, or give another --out"
+            ) from None
+        yield
