@@ -1,0 +1,246 @@
+"""Assembles the page: what to say about the runs, in the order in which a reader asks."""
+
+import json
+import shlex
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import jinja2
+
+import odaf
+from odaf.errors import ConfigError
+from odaf.experiments.report import charts, paths
+from odaf.experiments.report.configuration import ABSENT, differences
+from odaf.experiments.report.drawing import DARK, LIGHT, plain_number
+from odaf.experiments.report.layout import maze_layout
+from odaf.experiments.report.records import RunRecord, find_runs, optional, read_run
+from odaf.experiments.report.scores import Score, headline_index, labels, score
+from odaf.experiments.report.svg import variables
+from odaf.training.files import write_atomically
+
+LOCAL = "locally generated data"
+_COMPARED = ("preset", "algorithm", "steps", "seeds", "evaluate")
+
+
+def build(run_directories: Sequence[Path], out: Path, title: str | None = None) -> Path:
+    """See `odaf.experiments.report.build`."""
+    out = Path(out)
+    if out.is_dir():
+        raise ConfigError(f"{out}: is a folder; name the HTML file to write, for example {out / 'report.html'}")
+    runs = [read_run(directory) for directory in find_runs(run_directories)]
+    page = render(runs, title)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    write_atomically(out, lambda file: file.write(page.encode("utf-8")))
+    return out
+
+
+def render(runs: Sequence[RunRecord], title: str | None = None) -> str:
+    """The whole page as text. Everything that comes from files is escaped by the template."""
+    names = labels(runs)
+    named = list(zip(names, runs, strict=True))
+    scores = [score(run, name) for name, run in named]
+    main = headline_index(runs)
+    origins = [data_origin(run) for run in runs]
+    settings = [{key: run.config[key] for key in _COMPARED if key in run.config} for run in runs]
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("odaf.experiments.report", "templates"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters |= {"figure": figure, "count": count, "share": share, "duration": duration}
+    return environment.get_template("page.html").render(
+        title=title or default_title(names),
+        light=variables(LIGHT),
+        dark=variables(DARK),
+        version=odaf.__version__,
+        runs=runs,
+        names=names,
+        scores=scores,
+        main=main,
+        local=LOCAL,
+        origins=origins,
+        verdict=verdict(runs[main], scores[main]),
+        facts=data_facts(runs[main]),
+        gaps=gaps(runs, names),
+        mazes=paths.maze_charts(runs, names),
+        no_maze=why_no_maze(runs),
+        curves=charts.curves_chart(runs, names),
+        returns=charts.returns_chart(runs, scores),
+        decimals=decimals([value for entry in scores for value in (entry.mean, *entry.seed_means)]),
+        critics=charts.critic_charts(runs, names),
+        no_critic=[name for name, run in named if not _logs(run, "critic/mean")],
+        uncertainty=charts.metric_chart(
+            runs, names, "outcome/uncertainty", "Outcome uncertainty",
+            "Disagreement of the critics at the predicted outcomes; it falls as the policy keeps to known ground.",
+        ),
+        temperature=charts.metric_chart(
+            runs, names, "temperature/value", "Temperature",
+            "Weight of the entropy bonus; healthy runs let it fall.", logarithmic=True,
+        ),
+        warnings=[(name, seed.seed, text) for name, run in named for seed in run.seeds for text in seed.warnings],
+        dynamics=charts.dynamics_checks(runs, names),
+        differing=differences(settings) if len(runs) > 1 else [],
+        configurations=[json.dumps(run.config, indent=2, ensure_ascii=False) for run in runs],
+        machines=[machine_facts(run) for run in runs],
+        files=[(name, *(str(run.data.get(field, ABSENT)) for field in ("path", "sha256"))) for name, run in named],
+        provenance=json.dumps(run_provenance(runs[main]), indent=2, ensure_ascii=False),
+        commands=[(name, command(run)) for name, run in named],
+    )  # fmt: skip
+
+
+def default_title(names: Sequence[str]) -> str:
+    """The methods, as a sentence's subject."""
+    if len(names) == 1:
+        return f"{names[0]}: what it learned"
+    return f"{', '.join(names[:-1])} and {names[-1]} compared"
+
+
+def data_origin(run: RunRecord) -> str:
+    """`LOCAL` where the data's provenance says it was generated here, else an empty string."""
+    provenance = run_provenance(run)
+    stated = provenance.get("generated_locally")
+    if isinstance(stated, bool):
+        return LOCAL if stated else ""
+    return LOCAL if any(provenance.get(field) for field in ("generator", "generated")) else ""
+
+
+def run_provenance(run: RunRecord) -> Mapping[str, Any]:
+    """Where the training data came from, in the data's own words."""
+    provenance = run.summary_of_data.get("provenance")
+    return provenance if isinstance(provenance, Mapping) else {}
+
+
+def verdict(run: RunRecord, entry: Score) -> str:
+    """The comparison of the main score with the log, in one sentence."""
+    if entry.mean is None:
+        return f"{entry.label} has not been evaluated, so there is no score to compare with the log."
+    best, mean = run.data_best, run.data_mean
+    if best is None or mean is None:
+        return f"{entry.label} earns {plain_number(entry.mean)} on average; the run does not tell what the log earned."
+    times = f"{entry.mean / best:.2f} times the best logged return" if best > 0 and entry.mean > best else ""
+    if entry.mean > best:
+        text = f"On average {entry.label} earns more than the best logged episode" + (f", {times}." if times else ".")
+        if entry.evaluated > 1:
+            above = sum(value > best for value in entry.seed_means)
+            text += " Every seed is" if above == entry.evaluated else f" {above} of {entry.evaluated} seeds are"
+            text += " above it."
+        return text
+    if entry.mean > mean:
+        return f"On average {entry.label} earns more than the log's mean, and less than the best logged episode."
+    return f"On average {entry.label} earns less than the log's mean."
+
+
+def data_facts(run: RunRecord) -> list[str]:
+    """Size and source of the training data, for the line under the title."""
+    summary = run.summary_of_data
+    facts = []
+    if optional(summary.get("transitions")) is not None:
+        facts.append(f"{int(summary['transitions']):,} logged transitions")
+    if optional(summary.get("episodes")) is not None:
+        facts.append(f"{int(summary['episodes']):,} episodes")
+    layout = maze_layout(run.environment)
+    if layout is not None:
+        facts.append(f"maze {layout.name}")
+    elif run.environment is not None:
+        facts.append(str(run.environment.get("id") or run.environment.get("name") or "unnamed environment"))
+    return facts
+
+
+def gaps(runs: Sequence[RunRecord], names: Sequence[str]) -> list[str]:
+    """What a reader could expect here and will not find, or should not take at face value."""
+    found = []
+    prints = {str(run.data["sha256"]) for run in runs if run.data.get("sha256")}
+    if len(prints) > 1:
+        found.append("The runs were trained on different data, so their scores do not compare like with like.")
+    for name, run in zip(names, runs, strict=True):
+        if not run.data:
+            found.append(f"{name}: data.json is missing, so neither the log's returns nor its origin are known.")
+        if not run.seeds:
+            found.append(f"{name}: no seed has started; the directory holds no seed folder.")
+        planned = run.config.get("seeds")
+        if isinstance(planned, list) and run.seeds and len(run.seeds) < len(planned):
+            found.append(f"{name}: {len(run.seeds)} of {len(planned)} seeds have started.")
+        for seed in run.seeds:
+            if not seed.summary:
+                target = run.config.get("steps")
+                of = f" of {target:,}" if isinstance(target, int) else ""
+                found.append(f"{name}, seed {seed.seed}: unfinished, {seed.step:,}{of} updates so far.")
+            if seed.evaluation is None:
+                found.append(f"{name}, seed {seed.seed}: no evaluation, so it has no score.")
+            elif seed.evaluation.step < seed.step:
+                measured = f"evaluated last after {seed.evaluation.step:,}"
+                found.append(f"{name}, seed {seed.seed}: trained for {seed.step:,} updates, {measured}.")
+        if run.evaluated and all(seed.episodes is None for seed in run.seeds) and maze_layout(run.environment):
+            found.append(f"{name}: no evaluation episodes were kept, so its paths cannot be drawn.")
+    return found
+
+
+def why_no_maze(runs: Sequence[RunRecord]) -> str:
+    """Why there is no picture of paths; the reason of the first run that has one."""
+    environments = [run.environment for run in runs]
+    if all(environment is None for environment in environments):
+        return "The data name no environment, so there is no map to draw paths on."
+    if not any(maze_layout(environment) for environment in environments):
+        return "The environment is not a maze, so there is no map to draw paths on."
+    return "No evaluation kept its episodes, so there are no paths to draw."
+
+
+def machine_facts(run: RunRecord) -> list[tuple[str, str]]:
+    """Versions and device, in the order of the file."""
+    facts: list[tuple[str, str]] = []
+    for key, value in run.machine.items():
+        if key == "command":
+            continue
+        if isinstance(value, Mapping):
+            facts += [(str(name), str(entry)) for name, entry in value.items()]
+        else:
+            facts.append((str(key), str(value)))
+    return facts
+
+
+def command(run: RunRecord) -> str | None:
+    """The command line that made the run, ready to paste."""
+    words = run.machine.get("command")
+    if isinstance(words, list) and words:
+        return shlex.join(str(word) for word in words)
+    return words if isinstance(words, str) and words else None
+
+
+def decimals(values: Sequence[float | None]) -> int:
+    """Digits after the point that show about four digits of the largest value, the same for a whole column."""
+    largest = max((abs(value) for value in values if value is not None), default=0.0)
+    return 0 if largest >= 10_000 else 1 if largest >= 10 else 2 if largest >= 1 else 3
+
+
+def figure(value: float | None, places: int | None = None) -> str:
+    """A number for a table; a dash for none."""
+    if value is None:
+        return ABSENT
+    return plain_number(value) if places is None else f"{value:,.{places}f}"
+
+
+def count(value: float | None) -> str:
+    """A whole number with separators; a dash for none."""
+    return ABSENT if value is None else f"{round(value):,}"
+
+
+def share(value: float | None) -> str:
+    """A rate in percent; a dash for none."""
+    return ABSENT if value is None else f"{100 * value:.0f} %"
+
+
+def duration(seconds: float | None) -> str:
+    """Seconds as a person says them."""
+    if seconds is None:
+        return ABSENT
+    if seconds < 120:
+        return f"{seconds:.0f} s"
+    minutes = round(seconds / 60)
+    return f"{minutes} min" if minutes < 120 else f"{minutes // 60} h {minutes % 60:02d} min"
+
+
+def _logs(run: RunRecord, name: str) -> bool:
+    return any(name in seed.series for seed in run.seeds)

@@ -1,0 +1,342 @@
+"""What a run directory holds, read from its files alone: nothing is loaded that could run code.
+
+A run may still be going, may have been killed, or may never have been evaluated. Whatever is there is read; whatever is
+absent is `None` or empty, so that a report can name it. A file that is there but cannot be read is an error.
+"""
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from odaf.errors import ConfigError
+from odaf.training import logging
+from odaf.training.files import read_json
+
+FORMAT = "odaf-run"
+VERSION = 1
+_REMEDY = "Restore the file, or train again."
+
+
+@dataclass(frozen=True)
+class Series:
+    """One logged quantity of one seed: `values[i]` was measured after `steps[i]` updates; both have shape [points]."""
+
+    steps: np.ndarray
+    values: np.ndarray
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """The outcome of one evaluation of one seed.
+
+    Attributes:
+        step: updates before it.
+        mean: mean undiscounted return over the episodes.
+        std: standard deviation over the episodes.
+        episodes: their number, 0 where the run does not tell.
+        success_rate: share that reached the target, `None` where the environment reports no success.
+        stitched_rate: share that reached the target without a logged detour, `None` where there is no such flag.
+        returns: [episodes] each episode's return, `None` where the run does not tell.
+    """
+
+    step: int
+    mean: float
+    std: float
+    episodes: int
+    success_rate: float | None
+    stitched_rate: float | None
+    returns: np.ndarray | None
+
+
+@dataclass(frozen=True)
+class SeedRecord:
+    """One seed of a run.
+
+    Attributes:
+        seed: its number.
+        directory: its folder.
+        series: logged quantities by name, for example `critic/mean`.
+        summary: `summary.json`, empty while the seed has none.
+    """
+
+    seed: int
+    directory: Path
+    series: Mapping[str, Series]
+    summary: Mapping[str, Any]
+
+    @property
+    def status(self) -> str:
+        """What the run says of itself; "unfinished" where it wrote no summary."""
+        return str(self.summary.get("status", "unfinished"))
+
+    @property
+    def step(self) -> int:
+        """Updates made so far, as far as the files show."""
+        logged = [int(series.steps[-1]) for series in self.series.values() if series.steps.size]
+        return max([int(self.summary.get("step") or 0), *logged])
+
+    @cached_property
+    def evaluation(self) -> Evaluation | None:
+        """The latest evaluation, whichever file tells of it; never the best one."""
+        found = [self._summarised_evaluation(), self._logged_evaluation(), self._recorded_evaluation()]
+        # `max` keeps the first of equals, so the summary, which tells most, goes before the log and the arrays.
+        evaluations = [evaluation for evaluation in found if evaluation is not None]
+        return max(evaluations, key=lambda evaluation: evaluation.step) if evaluations else None
+
+    @cached_property
+    def episodes(self) -> tuple[int, Mapping[str, np.ndarray]] | None:
+        """Step and arrays of the latest recorded evaluation: observations [episodes, time, obs_dim], returns, flags."""
+        files = sorted(
+            (path for path in (self.directory / "evaluations").glob("*.npz") if path.stem.isdigit()),
+            key=lambda path: int(path.stem),
+        )
+        return (int(files[-1].stem), read_arrays(files[-1])) if files else None
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What the divergence monitor said, in order."""
+        return tuple(_warning_text(warning) for warning in self.summary.get("warnings") or ())
+
+    def _summarised_evaluation(self) -> Evaluation | None:
+        entry = self.summary.get("evaluation")
+        if not isinstance(entry, Mapping) or entry.get("mean_return") is None:
+            return None
+        returns = entry.get("returns")
+        return Evaluation(
+            step=int(entry.get("step") or self.summary.get("step") or 0),
+            mean=float(entry["mean_return"]),
+            std=number(entry.get("std_return")),
+            episodes=int(entry.get("episodes") or (len(returns) if returns else 0)),
+            success_rate=optional(entry.get("success_rate")),
+            stitched_rate=optional(entry.get("stitched_rate")),
+            returns=np.asarray(returns, np.float64) if returns else None,
+        )
+
+    def _logged_evaluation(self) -> Evaluation | None:
+        means = self.series.get("evaluation/return_mean")
+        if means is None:
+            return None
+        step = int(means.steps[-1])
+        return Evaluation(
+            step=step,
+            mean=float(means.values[-1]),
+            std=number(self._at("evaluation/return_std", step)),
+            episodes=int(self._at("evaluation/episodes", step) or 0),
+            success_rate=self._at("evaluation/success_rate", step),
+            stitched_rate=self._at("evaluation/stitched_rate", step),
+            returns=None,
+        )
+
+    def _recorded_evaluation(self) -> Evaluation | None:
+        if self.episodes is None or "returns" not in self.episodes[1]:
+            return None
+        step, arrays = self.episodes
+        returns = np.asarray(arrays["returns"], np.float64)
+        rates = {name: float(np.mean(arrays[name])) if name in arrays else None for name in ("success", "stitched")}
+        return Evaluation(
+            step,
+            float(returns.mean()),
+            float(returns.std()),
+            len(returns),
+            rates["success"],
+            rates["stitched"],
+            returns,
+        )
+
+    def _at(self, name: str, step: int) -> float | None:
+        series = self.series.get(name)
+        if series is None or step not in series.steps:
+            return None
+        return optional(series.values[np.flatnonzero(series.steps == step)[-1]])
+
+
+@dataclass(frozen=True)
+class RunRecord:
+    """One run directory: one method on one dataset, with one or more seeds.
+
+    Attributes:
+        directory: the run directory.
+        config: `config.json`.
+        data: `data.json`, empty where absent.
+        machine: `environment.json`, empty where absent.
+        sample: arrays of `data_sample.npz`, empty where absent.
+        seeds: in ascending order.
+    """
+
+    directory: Path
+    config: Mapping[str, Any]
+    data: Mapping[str, Any]
+    machine: Mapping[str, Any]
+    sample: Mapping[str, np.ndarray]
+    seeds: tuple[SeedRecord, ...]
+
+    @property
+    def method(self) -> str:
+        """The preset's name, or else the algorithm's, or else the directory's."""
+        algorithm = self.config.get("algorithm")
+        named = [self.config.get("preset")]
+        if isinstance(algorithm, Mapping):
+            named += [algorithm.get("name"), algorithm.get("kind"), algorithm.get("algorithm")]
+        return next((str(name) for name in named if name), self.directory.name)
+
+    @property
+    def summary_of_data(self) -> Mapping[str, Any]:
+        """`Dataset.summary()` of the training data, empty where unknown."""
+        summary = self.data.get("summary")
+        return summary if isinstance(summary, Mapping) else {}
+
+    @property
+    def environment(self) -> Mapping[str, Any] | None:
+        """The environment the run was evaluated in, if it names one."""
+        environment = self.data.get("environment")
+        return environment if isinstance(environment, Mapping) else None
+
+    @property
+    def logged_returns(self) -> np.ndarray | None:
+        """[episodes] undiscounted return of every logged episode."""
+        returns = self.sample.get("returns")
+        return None if returns is None or returns.size == 0 else np.asarray(returns, np.float64)
+
+    @property
+    def data_mean(self) -> float | None:
+        """Mean return of the logged episodes."""
+        return self._data_figure("mean_return", np.mean)
+
+    @property
+    def data_best(self) -> float | None:
+        """Return of the best logged episode."""
+        return self._data_figure("best_return", np.max)
+
+    @property
+    def evaluated(self) -> tuple[SeedRecord, ...]:
+        """The seeds that have an evaluation."""
+        return tuple(seed for seed in self.seeds if seed.evaluation is not None)
+
+    def _data_figure(self, name: str, compute: Any) -> float | None:
+        value = optional(self.summary_of_data.get(name))
+        if value is None and self.logged_returns is not None:
+            return float(compute(self.logged_returns))
+        return value
+
+
+def find_runs(paths: Sequence[Path]) -> list[Path]:
+    """Run directories among `paths`, in order; a folder that holds runs stands for them, by name.
+
+    Raises:
+        ConfigError: a path does not exist, or is neither a run directory nor a folder of them.
+    """
+    if not paths:
+        raise ConfigError("no run directory given: name at least one, for example runs/demo/odaf")
+    runs: list[Path] = []
+    for path in (Path(path) for path in paths):
+        if not path.is_dir():
+            what = "is a file" if path.exists() else "does not exist"
+            raise ConfigError(f"{path}: {what}; expected a run directory, as written by `odaf train --out DIRECTORY`")
+        inside = [] if (path / "config.json").exists() else sorted(child.parent for child in path.glob("*/config.json"))
+        if not inside and not (path / "config.json").exists():
+            raise ConfigError(
+                f"{path}: not a run directory, config.json is missing (and no folder directly inside it has one). "
+                "Give a directory written by `odaf train --out DIRECTORY`: it holds config.json, data.json and seed-*/"
+            )
+        runs += inside or [path]
+    return list({run.resolve(): run for run in runs}.values())
+
+
+def read_run(directory: Path) -> RunRecord:
+    """Everything a report needs from one run directory.
+
+    Raises:
+        ConfigError: the directory is no run, or holds arrays that cannot be read.
+        CheckpointError: a JSON file or a line of metrics is damaged. Either message names the file.
+    """
+    directory = Path(directory)
+    if not (directory / "config.json").exists():
+        raise ConfigError(f"{directory}: not a run directory, config.json is missing")
+    config = read_json(directory / "config.json", _REMEDY)
+    if config.get("format") != FORMAT:
+        raise ConfigError(
+            f"{directory / 'config.json'}: field 'format' is {config.get('format')!r}, expected {FORMAT!r}; "
+            "this directory was not written by `odaf train`"
+        )
+    if config.get("version") != VERSION:
+        raise ConfigError(
+            f"{directory / 'config.json'}: field 'version' is {config.get('version')!r}, this odaf reads version "
+            f"{VERSION}; make the report with the version of odaf that made the run"
+        )
+    sample = directory / "data_sample.npz"
+    folders = [path for path in directory.glob("seed-*") if path.name.removeprefix("seed-").isdigit()]
+    return RunRecord(
+        directory=directory,
+        config=config,
+        data=_json_if_there(directory / "data.json"),
+        machine=_json_if_there(directory / "environment.json"),
+        sample=read_arrays(sample) if sample.exists() else {},
+        seeds=tuple(sorted((_read_seed(path) for path in folders), key=lambda record: record.seed)),
+    )
+
+
+def read_arrays(path: Path) -> Mapping[str, np.ndarray]:
+    """All arrays of an npz file; pickled objects are refused.
+
+    Raises:
+        ConfigError: the file is damaged or holds anything but plain arrays.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            return {name: archive[name] for name in archive.files}
+    except Exception as error:  # numpy and zipfile raise half a dozen unrelated types for damaged archives
+        raise ConfigError(
+            f"{path}: cannot be read as plain arrays ({error}); restore the file or evaluate again"
+        ) from error
+
+
+def number(value: Any) -> float:
+    """A float; NaN for anything that is not a number."""
+    if isinstance(value, bool) or not isinstance(value, int | float | np.number):
+        return math.nan
+    return float(value)
+
+
+def optional(value: Any) -> float | None:
+    """A finite float, or `None`."""
+    result = number(value)
+    return result if math.isfinite(result) else None
+
+
+def _json_if_there(path: Path) -> Mapping[str, Any]:
+    return read_json(path, _REMEDY) if path.exists() else {}
+
+
+def _read_seed(directory: Path) -> SeedRecord:
+    return SeedRecord(
+        seed=int(directory.name.removeprefix("seed-")),
+        directory=directory,
+        series=_read_metrics(directory / "metrics.jsonl"),
+        summary=_json_if_there(directory / "summary.json"),
+    )
+
+
+def _read_metrics(path: Path) -> dict[str, Series]:
+    """Series by name. A step logged twice, as after a kill and a resume, counts once: the later line holds."""
+    points: dict[str, dict[int, float]] = {}
+    for record in logging.read(path):
+        for name, value in record.items():
+            if name != "step" and (value is None or isinstance(value, int | float)):
+                points.setdefault(name, {})[int(record["step"])] = number(value)
+    series = {}
+    for name, values in points.items():
+        steps = sorted(values)
+        series[name] = Series(np.asarray(steps, np.int64), np.asarray([values[step] for step in steps], np.float64))
+    return series
+
+
+def _warning_text(warning: Any) -> str:
+    if isinstance(warning, Mapping):
+        return str(warning.get("message") or json.dumps(warning, sort_keys=True))
+    return str(warning)
