@@ -6,7 +6,7 @@ class OdafError(Exception):
 
 
 class DatasetError(OdafError):
-    """Logged data that cannot be used as it is: the message names the file, the field, the first rows and the remedy."""
+    """Logged data that cannot be used as it is: the message names file, field, first rows and remedy."""
 
 
 class ConfigError(OdafError):

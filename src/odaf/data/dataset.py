@@ -171,7 +171,7 @@ class Dataset:
                 {
                     "finding": "actions-clipped",
                     "count": int(strays.sum()),
-                    "message": f"actions outside their bounds by rounding moved onto them, {validation.name_rows(strays)}",
+                    "message": f"actions moved onto the bounds they miss by rounding, {validation.name_rows(strays)}",
                 }
             )
         starts = episodes.complete(source, columns, episode, findings)

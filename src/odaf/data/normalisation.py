@@ -55,8 +55,8 @@ class Normaliser:
                 f"normaliser: observations must be [rows, obs_dim] with at least one row, got {np.shape(observations)}"
             )
         return cls(
-            mean=np.mean(observations, axis=0, dtype=np.float64),
-            std=np.std(observations, axis=0, dtype=np.float64),
+            mean=np.asarray(np.mean(observations, axis=0, dtype=np.float64)),
+            std=np.asarray(np.std(observations, axis=0, dtype=np.float64)),
             epsilon=epsilon,
         )
 

@@ -80,8 +80,8 @@ def opened(path: str | os.PathLike[str]) -> Iterator[tuple[h5py.File, str]]:
         raise DatasetError(f"{source}: there is no such file; check the path, or make the data first")
     if os.path.isdir(source):
         raise DatasetError(f"{source}: is a folder; name the HDF5 file inside it")
+    size = os.path.getsize(source)
     try:
-        size = os.path.getsize(source)
         if size == 0:
             raise DatasetError(f"{source}: the file is empty; copy or generate it again")
         if not h5py.is_hdf5(source):
@@ -115,7 +115,7 @@ def read(file: h5py.File, source: str) -> "Dataset":
     """The dataset in an open file of our own format.
 
     Raises:
-        DatasetError: a newer version, a missing or odd field, a checksum that does not match, or rows that fail a check.
+        DatasetError: a newer version, a missing or odd field, a wrong checksum, or rows that fail a check.
     """
     from odaf.data.dataset import Dataset
 
@@ -190,7 +190,8 @@ def read_array(file: h5py.File, source: str, name: str) -> np.ndarray:
         return np.asarray(item[()])
     except (OSError, RuntimeError, ValueError, MemoryError) as error:
         raise DatasetError(
-            f"{source}: field '{name}' of shape {item.shape} cannot be read ({error}); the file is damaged: copy it again"
+            f"{source}: field '{name}' of shape {item.shape} cannot be read ({error}); "
+            "the file is damaged: copy it again"
         ) from error
 
 
@@ -198,7 +199,8 @@ def require_field(file: h5py.File, source: str, name: str) -> None:
     """Raises `DatasetError`, listing what is there, unless the file has something called `name` at its root."""
     if name not in file and file.get(name, getlink=True) is None:
         raise DatasetError(
-            f"{source}: field '{name}' is missing; the file has {sorted(file.keys())}: rename the column or generate it again"
+            f"{source}: field '{name}' is missing; the file has {sorted(file.keys())}: "
+            "rename the column or generate the file again"
         )
 
 
@@ -207,7 +209,8 @@ def _field(file: h5py.File, source: str, name: str, dtype: str, axes: int) -> np
     array = read_array(file, source, name)
     if array.dtype != np.dtype(dtype):
         raise DatasetError(
-            f"{source}: field '{name}' holds {array.dtype}, expected {np.dtype(dtype)}; generate the file again with odaf"
+            f"{source}: field '{name}' holds {array.dtype}, expected {np.dtype(dtype)}; "
+            "generate the file again with odaf"
         )
     if array.ndim != axes:
         raise DatasetError(

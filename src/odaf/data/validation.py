@@ -22,6 +22,11 @@ def name_rows(mask: np.ndarray, limit: int = 5) -> str:
     return f"{len(rows)} of {len(mask)} rows, the first of them {shown}"
 
 
+def any_in_row(mask: np.ndarray) -> np.ndarray:
+    """[rows] bool: whether any entry of the row is marked; `mask` is [rows] or [rows, columns]."""
+    return np.asarray(mask.reshape(len(mask), -1).any(axis=1))
+
+
 def numbers(source: str, field: str, values: Any) -> np.ndarray:
     """`values` as a real-valued NumPy array, uncopied where possible; strings, objects and complex are refused."""
     try:
@@ -58,8 +63,8 @@ def flags(source: str, field: str, values: Any) -> np.ndarray:
         odd = (array != 0) & (array != 1)
         if odd.any():
             raise DatasetError(
-                f"{source}: field '{field}' must hold only true and false (or 1 and 0); other values in {name_rows(odd)}: "
-                f"{array[odd][:3].tolist()}; derive the flag first"
+                f"{source}: field '{field}' must hold only true and false (or 1 and 0); "
+                f"other values in {name_rows(odd)}: {array[odd][:3].tolist()}; derive the flag first"
             )
     return array.astype(bool)
 
@@ -83,7 +88,7 @@ def finite(source: str, field: str, array: np.ndarray) -> None:
     """Refuses NaN and infinity."""
     bad = ~np.isfinite(array)
     if bad.any():
-        rows = bad if bad.ndim == 1 else bad.any(axis=1)
+        rows = any_in_row(bad)
         columns = "" if bad.ndim == 1 else f" (columns {np.flatnonzero(bad.any(axis=0)).tolist()})"
         raise DatasetError(
             f"{source}: field '{field}' holds NaN or infinity in {name_rows(rows)}{columns}; "
@@ -121,7 +126,8 @@ def action_bounds(source: str, actions: np.ndarray, names: tuple[str, ...], boun
     if wrong.any():
         index = int(np.flatnonzero(wrong)[0])
         raise DatasetError(
-            f"{source}: action '{names[index]}' (column {index}) has bounds [{pair[0, index]}, {pair[1, index]}]; {remedy}"
+            f"{source}: field 'action_bounds': action '{names[index]}' (column {index}) has bounds "
+            f"[{pair[0, index]}, {pair[1, index]}]; {remedy}"
         )
     return pair
 
@@ -135,11 +141,11 @@ def outside_bounds(source: str, actions: np.ndarray, low: np.ndarray, high: np.n
         index = int(np.flatnonzero(far.any(axis=0))[0])
         row = int(np.flatnonzero(far[:, index])[0])
         raise DatasetError(
-            f"{source}: field 'actions' leaves its bounds in {name_rows(far.any(axis=1))}: column {index} is "
+            f"{source}: field 'actions' leaves its bounds in {name_rows(any_in_row(far))}: column {index} is "
             f"{actions[row, index]} in row {row}, allowed [{low[index]}, {high[index]}]; "
             "pass the true action_bounds, or clip the actions before"
         )
-    return (excess > 0).any(axis=1)
+    return any_in_row(excess > 0)
 
 
 def names(source: str, field: str, given: Sequence[str] | None, count: int, prefix: str) -> tuple[str, ...]:
@@ -168,7 +174,7 @@ def _single_precision(source: str, field: str, array: np.ndarray) -> np.ndarray:
         result = array.astype(np.float32)
     bad = ~np.isfinite(result)
     if bad.any():
-        rows = bad if bad.ndim == 1 else bad.any(axis=1)
+        rows = any_in_row(bad)
         raise DatasetError(
             f"{source}: field '{field}' is too large for single precision in {name_rows(rows)}; change its unit"
         )

@@ -122,6 +122,7 @@ def _cell(name: str, field: str, value: Any) -> Cell:
     return row, column
 
 
+# The paper's: from the start down to the junction (2, 2) and right to the goal; the detour goes round by the left.
 STITCH = Maze(
     name="stitch",
     rows=("111111", "100111", "100001", "111111"),
@@ -129,3 +130,15 @@ STITCH = Maze(
     goal=(2, 4),
     avoid=((1, 1), (2, 1)),
 )
+
+# Four arms meet at (3, 3): start in the south, goal in the east, dead end in the north; the detour leaves the start to
+# the left and comes back to the crossing along the western arm.
+CROSSROADS = Maze(
+    name="crossroads",
+    rows=("1111111", "1110111", "1110111", "1000001", "1010111", "1000111", "1111111"),
+    start=(5, 3),
+    goal=(3, 5),
+    avoid=((5, 2), (5, 1), (4, 1), (3, 1), (3, 2)),
+)
+
+MAZES: Mapping[str, Maze] = {maze.name: maze for maze in (STITCH, CROSSROADS)}

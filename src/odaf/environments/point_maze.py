@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium
-import mujoco
 import numpy as np
+from mujoco import mj_forward, mj_step  # pyright: ignore[reportAttributeAccessIssue] (compiled, without stubs)
 
 from odaf.environments.maze import Maze
 
@@ -94,9 +94,9 @@ class PointMaze(gymnasium.Env):
         if any(math.isnan(part) for part in force):
             force = [0.0, 0.0]
         self._velocity[:] = [max(-MAX_SPEED, min(MAX_SPEED, part)) for part in self._velocity.tolist()]
-        mujoco.mj_forward(self._model, self._data)
+        mj_forward(self._model, self._data)
         self._force[:] = [max(-1.0, min(1.0, part)) for part in force]
-        mujoco.mj_step(self._model, self._data)
+        mj_step(self._model, self._data)
         self._step += 1
         state = self.state
         reward = math.exp(-math.dist(state[:2], self._target))

@@ -18,7 +18,7 @@ import numpy as np
 
 from odaf.data.dataset import Dataset
 from odaf.environments.controller import WaypointController
-from odaf.environments.maze import STITCH, Cell, Maze
+from odaf.environments.maze import CROSSROADS, STITCH, Cell, Maze
 from odaf.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -155,7 +155,27 @@ _PAPER = StitchConfig(
     ),
 )
 
-CONFIGS: Mapping[str, StitchConfig] = {"stitch": _PAPER}
+# One more turn to find, and a detour twice as long as the direct way: nobody logged south to east.
+_CROSSROADS = StitchConfig(
+    maze=CROSSROADS,
+    routes=(
+        Route("south-to-north", goals=((1, 3),), repeats=250),
+        Route("south-to-crossing", goals=((3, 3),), repeats=250),
+        Route("detour-hold", goals=((5, 1), (3, 1), (3, 5)), repeats=250),
+        Route("detour-random", goals=((5, 1), (3, 1), (3, 5)), repeats=250, after="random"),
+    ),
+    steps=260,
+    accept=(
+        ("mean", 33.5, 35.3),
+        ("best", 57.0, 68.0),
+        ("south-to-north/best", 0.0, 36.0),
+        ("south-to-crossing/best", 0.0, 56.0),
+        ("detour-hold/mean", 41.5, 46.0),
+        ("detour-random/mean", 39.0, 43.5),
+    ),
+)
+
+CONFIGS: Mapping[str, StitchConfig] = {config.maze.name: config for config in (_PAPER, _CROSSROADS)}
 
 
 def generate(config: StitchConfig = _PAPER, seed: int = 0) -> Dataset:
