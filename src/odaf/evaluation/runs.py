@@ -32,6 +32,11 @@ class Run:
         return self.files.config
 
     @property
+    def data(self) -> dict[str, Any]:
+        """Where the training data came from, their sizes, normaliser and environment."""
+        return self.files.data
+
+    @property
     def summary(self) -> dict[int, dict[str, Any]]:
         """The state of affairs at each seed's last checkpoint."""
         return {seed: self.files.summary(seed) for seed in self.seeds}

@@ -79,7 +79,7 @@ def resume(
     directory: str | os.PathLike[str],
     steps: int | None = None,
     *,
-    dataset: Dataset | None = None,
+    dataset: Dataset | str | os.PathLike[str] | None = None,
     on_divergence: OnDivergence | None = None,
     progress: bool | ProgressReport = True,
     loggers: Sequence[Logger] = (),
@@ -89,11 +89,13 @@ def resume(
     Args:
         directory: a run's directory.
         steps: updates for each seed in all, to make a run longer.
-        dataset: needed only if the run was begun with data from memory.
+        dataset: needed only if the run was begun with data from memory, or their file has moved.
         on_divergence: None keeps the run's setting.
         progress: whether to show a progress bar.
         loggers: receivers of metrics beside `metrics.jsonl`.
     """
+    if dataset is not None and not isinstance(dataset, Dataset):
+        dataset = Dataset.load(dataset)
     settings: Mapping[str, Any] | None = RunDirectory(Path(directory)).config.get("evaluate")
     evaluator = None if settings is None else _evaluator(Rollouts.from_dict(settings))
     try:

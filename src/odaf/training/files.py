@@ -75,6 +75,11 @@ def finite(value: Any) -> Any:
     return value
 
 
+def plain(value: Any) -> Any:
+    """`value` as it comes back from a JSON file: tuples are lists, names are strings, all numbers are finite."""
+    return json.loads(json.dumps(finite(value), allow_nan=False))
+
+
 def sync_file(file: Any) -> None:
     """Hands everything written to `file` to the disk."""
     file.flush()

@@ -20,7 +20,7 @@ from odaf.data.transitions import Transitions
 from odaf.errors import ConfigError, DatasetError, DivergenceError
 from odaf.training import checkpoints, loop, run_directory
 from odaf.training.evaluator import Evaluator
-from odaf.training.files import read_json, write_json
+from odaf.training.files import plain, read_json, write_json
 from odaf.training.logging import JsonLines, Logger
 from odaf.training.monitors import DivergenceMonitor, TrainingWarning
 from odaf.training.policy import Policy
@@ -87,9 +87,10 @@ def fit(
     normaliser = Normaliser.fit(dataset.observations)
     data = run_directory.data_record(dataset, normaliser, data_path)
     path = Path(directory)
+    run_directory.refuse_foreign(path)
     path.mkdir(parents=True, exist_ok=True)
     with _locked(path):
-        run = run_directory.begin(path, config, data, dataset)
+        run = run_directory.begin(path, plain(config), plain(data), dataset)
         _train(run, dataset, evaluate, on_divergence, default_progress(progress), loggers)
     return run
 
@@ -130,7 +131,7 @@ def resume(
             )
         dataset = Dataset.load(run.data["path"])
     _check_same_data(run, dataset)
-    if (None if evaluate is None else evaluate.to_dict()) != config["evaluate"]:
+    if plain(None if evaluate is None else evaluate.to_dict()) != config["evaluate"]:
         raise ConfigError(
             f"{run.path}: evaluate: the run was begun with {config['evaluate']!r}; "
             "give an evaluator with these settings"
@@ -148,9 +149,13 @@ def resume(
         _check_settings(run.config["steps"], run.seeds, config["checkpoint_every"], config["stretch"], chosen, evaluate)
         record = run.path / "environment.json"
         environment = read_json(record, "It is needed only for the record: put {} into it to go on.")
-        resumed = [*environment.get("resumed", []), run_directory.process_record()]
-        write_json(record, {**environment, "resumed": resumed})
-        _train(run, dataset, evaluate, chosen, default_progress(progress), loggers)
+        now, report = run_directory.process_record(), default_progress(progress)
+        resumed = environment.get("resumed", [])
+        changes = run_directory.changes([environment, *resumed][-1], now)
+        if changes:
+            report.message(f"{run.path}: {changes}; the run goes on, but not with the bits of an unbroken one")
+        write_json(record, {**environment, "resumed": [*resumed, now]})
+        _train(run, dataset, evaluate, chosen, report, loggers)
     return run
 
 
@@ -173,17 +178,17 @@ def _train(
     progress: ProgressReport,
     loggers: Sequence[Logger],
 ) -> None:
-    columns = train_stretch = None
+    columns = None
+    run_directory.remove_unfinished(run.path, recursive=False)
     try:
         for seed in run.seeds:
-            training = _SeedTraining(run, seed, evaluate, on_divergence, progress, train_stretch)
+            training = _SeedTraining(run, seed, evaluate, on_divergence, progress)
             if training.is_finished():
                 training.write_summary()
                 continue
             if columns is None:
                 columns = device_columns(dataset, run.normaliser)
             training.go(dataset, columns, loggers)
-            train_stretch = training.train_stretch
     finally:
         progress.close()
 
@@ -209,11 +214,9 @@ class _SeedTraining:
         evaluate: Evaluator | None,
         on_divergence: str,
         progress: ProgressReport,
-        train_stretch: loop.TrainStretch | None,
     ):
         self.run, self.seed, self.evaluate, self.progress = run, seed, evaluate, progress
         self.stops_on_divergence = on_divergence == "stop"
-        self.train_stretch = train_stretch  # compiled by an earlier seed, or None
         self.directory = run.seed_directory(seed)
         self.steps: int = run.config["steps"]
         self.stretch: int = run.config["stretch"]
@@ -233,9 +236,8 @@ class _SeedTraining:
             )
 
     def is_finished(self) -> bool:
-        """Whether the last checkpoint is the last one asked for, and evaluated."""
-        evaluated = self.evaluate is None or (self.record.evaluation or {}).get("step") == self.step
-        return self.checkpoint is not None and self.step >= self.steps and evaluated
+        """Whether the last checkpoint is the last one asked for; it was evaluated before it was written."""
+        return self.step >= self.steps
 
     def go(self, dataset: Dataset, columns: Transitions, loggers: Sequence[Logger]) -> None:
         self.directory.mkdir(exist_ok=True)
@@ -279,20 +281,19 @@ class _SeedTraining:
         )
         key = loop.training_key(self.seed)
         record.status = "running"
-        if self.train_stretch is None:
-            began = time.perf_counter()
-            self.progress.start(f"seed {self.seed}: compiling", 0)
-            here = jnp.asarray(self.step)
-            self.train_stretch = loop.compiled_stretch((run.algorithm, columns, key, here, here), state)
-            _add(seconds, "compile", time.perf_counter() - began)
+        self.write_summary()
+        self.progress.start(f"seed {self.seed}: compiling", 0)
+        began, here = time.perf_counter(), jnp.asarray(self.step)
+        state, _ = jax.block_until_ready(loop.train_stretch((run.algorithm, columns, key, here, here), state))
+        _add(seconds, "compile", time.perf_counter() - began)
         self.progress.start(f"seed {self.seed}: training", self.steps, self.step)
-        while self.step < self.steps or not self.is_finished():
+        while self.step < self.steps:
             stop = self._next_stop()
             diverged: list[TrainingWarning] = []
             if stop > self.step:
                 fixed = (run.algorithm, columns, key, jnp.asarray(self.step), jnp.asarray(stop))
                 began = time.perf_counter()
-                state, reduced = self.train_stretch(fixed, state)
+                state, reduced = loop.train_stretch(fixed, state)
                 metrics = {name: float(value) for name, value in jax.device_get(reduced).items()}
                 took = time.perf_counter() - began
                 _add(seconds, "train", took)

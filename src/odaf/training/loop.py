@@ -5,7 +5,6 @@ of the update's number alone, and one compiled function serves stretches of ever
 stretches, stopped or resumed changes no bit of its result.
 """
 
-from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -56,20 +55,13 @@ def settled(state: Any) -> Any:
 Fixed = tuple[Algorithm, Transitions, PRNGKeyArray, Int[Array, ""], Int[Array, ""]]
 
 
-TrainStretch = Callable[[Fixed, Any], tuple[Any, dict[str, Array]]]
-
-
-def compiled_stretch(fixed: Fixed, state: Any) -> TrainStretch:
-    """`train_stretch` compiled for these arguments and all others of their shapes, of any seed; nothing is run."""
-    return train_stretch.lower(fixed, state).compile()  # type: ignore[attr-defined]  # it is a filter_jit wrapper
-
-
 @eqx.filter_jit(donate="all-except-first")
 def train_stretch(fixed: Fixed, state: Any) -> tuple[Any, dict[str, Float[Array, ""]]]:
     """Runs updates `first + 1` to `last` and reduces their metrics.
 
     Args:
-        fixed: the learner, all columns of the dataset, the seed's `training_key`, `first` and `last`.
+        fixed: the learner, all columns of the dataset, the seed's `training_key`, `first` and `last`. Calls that differ
+            in the last three only share one compiled function; with `last` equal to `first` no update is run.
         state: the learner's state after `first` updates. Its memory is given to the result: do not use it again.
 
     Returns:
@@ -95,7 +87,7 @@ def train_stretch(fixed: Fixed, state: Any) -> tuple[Any, dict[str, Float[Array,
     _, shapes = jax.eval_shape(update, arrays, first)
     totals = {name: jnp.full(shape.shape, _start(name), jnp.float32) for name, shape in shapes.items()}
     arrays, totals = jax.lax.fori_loop(first, last, one, (arrays, totals))
-    count = (last - first).astype(jnp.float32)
+    count = jnp.maximum(last - first, 1).astype(jnp.float32)
     means = {name: value if name.endswith(("/max", "/min")) else value / count for name, value in totals.items()}
     return eqx.combine(arrays, static), means
 

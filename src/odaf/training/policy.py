@@ -1,7 +1,8 @@
 """A trained learner as a function of the user's own observations: what can be carried away and used."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import equinox as eqx
@@ -36,7 +37,7 @@ class Policy:
     state: Any
     observation_names: tuple[str, ...]
 
-    def __call__(self, observation: np.ndarray | Mapping[str, Any]) -> np.ndarray:
+    def __call__(self, observation: np.ndarray | Sequence[Any] | Mapping[str, Any]) -> np.ndarray:
         """The action for one observation [obs_dim] or a batch [rows, obs_dim]; a dict gives each column by its name.
 
         Returns:
@@ -48,11 +49,15 @@ class Policy:
         rows = self._rows(observation)
         single = rows.ndim == 1
         batch = rows[None, :] if single else rows
-        mean, scale = jnp.asarray(self.normaliser.mean), jnp.asarray(self.normaliser.scale)
+        mean, scale = self._scaling
         actions = np.asarray(_act(self.algorithm, self.state, mean, scale, jnp.asarray(batch), self.spec))
         return actions[0] if single else actions
 
-    def _rows(self, observation: np.ndarray | Mapping[str, Any]) -> np.ndarray:
+    @cached_property
+    def _scaling(self) -> tuple[Array, Array]:
+        return jnp.asarray(self.normaliser.mean), jnp.asarray(self.normaliser.scale)
+
+    def _rows(self, observation: np.ndarray | Sequence[Any] | Mapping[str, Any]) -> np.ndarray:
         if isinstance(observation, Mapping):
             missing = [name for name in self.observation_names if name not in observation]
             unknown = [name for name in observation if name not in self.observation_names]

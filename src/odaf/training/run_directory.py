@@ -147,11 +147,15 @@ class RunDirectory:
         return logging.read(self.seed_directory(seed) / "metrics.jsonl")
 
     def summary(self, seed: int) -> dict[str, Any]:
-        """The seed's state of affairs at its last checkpoint; `status` is "not started" if there is none yet."""
+        """The seed's state of affairs at its last checkpoint; `status` is one of "not started", "running" (which
+        includes runs that were cut off), "diverged" and "finished"."""
         found = self.checkpoints(seed)
         if not found:
             return {"seed": seed, "step": 0, "status": "not started", "evaluation": None, "warnings": []}
-        return found[-1].header()["summary"]
+        summary = found[-1].header()["summary"]
+        if summary["status"] == "finished" and summary["step"] < self.config["steps"]:
+            summary["status"] = "running"  # it was finished once, and made longer since
+        return summary
 
 
 def blank_state(algorithm: Algorithm, spec: Spec) -> Any:
@@ -173,7 +177,25 @@ def begin(path: Path, config: dict[str, Any], data: dict[str, Any], dataset: Dat
     if (path / "config.json").exists():
         _check_same(run, config, data)
         return run
+    refuse_foreign(path)
     path.mkdir(parents=True, exist_ok=True)
+    write_json(path / "environment.json", {**process_record(), "resumed": []})
+    write_arrays(path / "data_sample.npz", data_sample(dataset))
+    write_json(path / "data.json", data)
+    write_json(path / "config.json", config)
+    return run
+
+
+def refuse_foreign(path: Path) -> None:
+    """Makes sure that `path` can become a run's directory, or is one.
+
+    Raises:
+        ConfigError: it is a file, or holds files of something else.
+    """
+    if path.exists() and not path.is_dir():
+        raise ConfigError(f"{path}: is a file, not a directory. Give another directory with --out.")
+    if not path.exists() or (path / "config.json").exists():
+        return
     # A kill before the config was written leaves some of our own files, and nothing of value.
     foreign = sorted(
         child.name
@@ -185,11 +207,6 @@ def begin(path: Path, config: dict[str, Any], data: dict[str, Any], dataset: Dat
             f"{path}: is not empty ({', '.join(foreign[:3])}{', ...' if len(foreign) > 3 else ''}) and holds no run. "
             "Give another directory with --out."
         )
-    write_json(path / "environment.json", {**process_record(), "resumed": []})
-    write_arrays(path / "data_sample.npz", data_sample(dataset))
-    write_json(path / "data.json", data)
-    write_json(path / "config.json", config)
-    return run
 
 
 def _check_same(run: RunDirectory, config: dict[str, Any], data: dict[str, Any]) -> None:
@@ -213,16 +230,20 @@ def _difference(field: str, old: Any, new: Any) -> str:
 
 def clean(seed_directory: Path, step: int) -> None:
     """Removes what a killed process left: unfinished writes, and evaluations later than checkpoint `step`."""
-    if not seed_directory.is_dir():
-        return
-    for leftover in seed_directory.rglob(f"{TEMPORARY_PREFIX}*"):
+    remove_unfinished(seed_directory)
+    for file in (seed_directory / "evaluations").glob("*.npz"):
+        if file.stem.isdigit() and int(file.stem) > step:
+            file.unlink()
+
+
+def remove_unfinished(directory: Path, *, recursive: bool = True) -> None:
+    """Removes files and folders of writes that broke off; only for a process that holds the run's lock."""
+    pattern = f"{TEMPORARY_PREFIX}*"
+    for leftover in list(directory.rglob(pattern) if recursive else directory.glob(pattern)):
         if leftover.is_dir():
             shutil.rmtree(leftover)
         else:
             leftover.unlink(missing_ok=True)
-    for file in (seed_directory / "evaluations").glob("*.npz"):
-        if file.stem.isdigit() and int(file.stem) > step:
-            file.unlink()
 
 
 def data_record(dataset: Dataset, normaliser: Normaliser, path: str | os.PathLike[str] | None) -> dict[str, Any]:
@@ -254,6 +275,14 @@ def data_sample(dataset: Dataset) -> dict[str, np.ndarray]:
         row[: len(episode)] = episode
     best = dataset.observations[dataset.episode(int(returns.argmax()))]
     return {"returns": returns, "best_observations": np.asarray(best, np.float32), "observations": padded}
+
+
+def changes(before: dict[str, Any], now: dict[str, Any]) -> str:
+    """In words, what two process records differ in that can change a bit of the result; empty if nothing."""
+    old = {"python": before.get("python"), "device": before.get("device"), **before.get("versions", {})}
+    new = {"python": now["python"], "device": now["device"], **now["versions"]}
+    different = [name for name in {**old, **new} if old.get(name) != new.get(name)]
+    return ", ".join(f"{name} was {old.get(name)}, is {new.get(name)}" for name in different)
 
 
 def process_record() -> dict[str, Any]:
