@@ -1,5 +1,6 @@
 """Reader of the D4RL file layout: flat HDF5 arrays with `terminals` and, since version 1, `timeouts`."""
 
+import os
 from typing import TYPE_CHECKING, Any
 
 import h5py
@@ -32,8 +33,8 @@ def read(
     Args:
         file: open for reading.
         source: the name messages use.
-        max_episode_steps: the environment's time limit. Needed for files without `timeouts`, refused for files with
-            them.
+        max_episode_steps: the environment's time limit. Needed where the file has no `timeouts`, or where these and
+            `terminals` mark no row at all; refused elsewhere.
         action_bounds: lowest and highest action; [-1, 1] holds for the published locomotion and maze files.
         d4rl_compat: reproduce the rows that D4RL's own `qlearning_dataset` returns: the successor is the next row's
             observation even across the end of an episode, timed-out rows are dropped (also terminal ones), and so is
@@ -44,10 +45,12 @@ def read(
     """
     from odaf.data.dataset import Dataset
 
-    _refuse_other_layouts(file, source)
-    for name in _REQUIRED:
-        storage.require_field(file, source, name)
-    arrays = {name: storage.read_array(file, source, name) for name in _READ if name in file}
+    with storage.reading(source):
+        _refuse_other_layouts(file, source)
+        for name in _REQUIRED:
+            storage.require_field(file, source, name)
+        arrays = {name: storage.read_array(file, source, name) for name in _READ if name in file}
+        others = _other_fields(file)
     observations = validation.matrix(source, "observations", arrays["observations"])
     actions = validation.matrix(source, "actions", arrays["actions"])
     rewards = validation.vector(source, "rewards", arrays["rewards"])
@@ -59,10 +62,12 @@ def read(
         columns["next_observations"] = validation.matrix(source, "next_observations", arrays["next_observations"])
     rows = validation.same_length(source, columns)
     timeouts = columns.get("timeouts")
+    if timeouts is not None and not (terminals | timeouts).any():
+        timeouts = None  # present, but it tells as little as if it were not
     if timeouts is None and max_episode_steps is None:
         raise DatasetError(
-            f"{source}: field 'timeouts' is missing, so time limits cannot be told from the middle of an episode; "
-            "pass max_episode_steps= (1000 for the locomotion tasks)"
+            f"{source}: field 'timeouts' is missing or marks nothing, so a time limit cannot be told from the middle "
+            "of an episode; pass max_episode_steps= (1000 for the locomotion tasks)"
         )
     if timeouts is not None and max_episode_steps is not None:
         raise DatasetError(
@@ -74,9 +79,9 @@ def read(
 
     provenance: dict[str, Any] = {
         "format": "d4rl",
-        "path": source,
+        "file": os.path.basename(source),
         "rows_in_file": rows,
-        "fields_not_read": _other_fields(file),
+        "fields_not_read": others,
         "d4rl_compat": d4rl_compat,
     }
     if max_episode_steps is not None:
@@ -97,6 +102,15 @@ def read(
         )
     if timeouts is None:
         timeouts = _time_limits(terminals, int(max_episode_steps or 0))
+    if (terminals & timeouts).any() and np.array_equal(terminals, timeouts):
+        count = int(terminals.sum())
+        provenance["findings"] = [
+            {
+                "finding": "terminals-equal-timeouts",
+                "count": count,
+                "message": f"all {count} timeouts are terminals too; if they are time limits, learned values are wrong",
+            }
+        ]
     ends = terminals | timeouts
     episode = np.cumsum(np.append(False, ends[:-1]))
     return Dataset.from_arrays(

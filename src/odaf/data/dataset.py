@@ -262,8 +262,8 @@ class Dataset:
         if not -self.num_episodes <= index < self.num_episodes:
             raise IndexError(f"episode {index} of {self.num_episodes}")
         index %= self.num_episodes
-        stops = self._episode_stops()
-        return slice(int(self.episode_starts[index]), int(stops[index]))
+        stop = self.episode_starts[index + 1] if index + 1 < self.num_episodes else len(self)
+        return slice(int(self.episode_starts[index]), int(stop))
 
     def episode_lengths(self) -> np.ndarray:
         """[E] int64, steps."""

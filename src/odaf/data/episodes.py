@@ -41,7 +41,17 @@ def complete(
         )
 
     if "next_observations" not in columns:
-        starts = _shift(source, columns, starts, findings)
+        return _shift(source, columns, starts, findings)
+    mismatch = ~last
+    mismatch[:-1] &= (columns["next_observations"][:-1] != columns["observations"][1:]).any(axis=1)
+    if mismatch.any():
+        findings.append(
+            _finding(
+                "successor-differs-from-next-row",
+                mismatch,
+                "the logged next observation is not the one the next row of the episode starts from; used as logged",
+            )
+        )
     return starts
 
 

@@ -50,7 +50,8 @@ def write(dataset: "Dataset", path: str | os.PathLike[str]) -> None:
     text = metadata(dataset)
     try:
         try:
-            with h5py.File(partial, "w") as file:
+            # The library version sets a layout whose own bookkeeping is checksummed, so damage there is noticed too.
+            with h5py.File(partial, "w", libver=("v110", "v110")) as file:
                 file.attrs["format"] = FORMAT
                 file.attrs["version"] = VERSION
                 file.attrs["sha256"] = checksum(arrays, text)
@@ -98,12 +99,25 @@ def opened(path: str | os.PathLike[str]) -> Iterator[tuple[h5py.File, str]]:
         yield file, source
 
 
+@contextlib.contextmanager
+def reading(source: str) -> Iterator[None]:
+    """Turns what the HDF5 library raises on damaged files into `DatasetError`; wraps reads and nothing else."""
+    try:
+        yield
+    except (OSError, RuntimeError, KeyError, ValueError, TypeError, OverflowError, MemoryError) as error:
+        raise DatasetError(
+            f"{source}: the file is damaged and cannot be read ({type(error).__name__}: {error}); "
+            "copy or generate it again"
+        ) from error
+
+
 def is_own(file: h5py.File, source: str) -> bool:
     """Whether the file claims to be an odaf dataset; another claim than ours or none at all raises or is False."""
-    claim = file.attrs.get("format")
+    with reading(source):
+        claim = file.attrs.get("format")
     if claim is None:
         return False
-    if claim != FORMAT:
+    if not isinstance(claim, str) or claim != FORMAT:
         raise DatasetError(
             f"{source}: the file says its format is {claim!r}, expected {FORMAT!r}; "
             "give a dataset, not another kind of file"
@@ -119,20 +133,28 @@ def read(file: h5py.File, source: str) -> "Dataset":
     """
     from odaf.data.dataset import Dataset
 
-    version = file.attrs.get("version")
+    with reading(source):
+        version, stored = file.attrs.get("version"), file.attrs.get("sha256")
     if not isinstance(version, (int, np.integer)) or version < 1:
         raise DatasetError(
-            f"{source}: attribute 'version' is {version!r}, expected a whole number; the file is damaged"
+            f"{source}: attribute 'version' is {version!r}, expected a whole number; the file is damaged: copy it again"
         )
     if version > VERSION:
         raise DatasetError(
             f"{source}: written in version {version} of the format, this odaf reads up to {VERSION}; upgrade odaf"
         )
-    stored = file.attrs.get("sha256")
     if not isinstance(stored, str):
         raise DatasetError(f"{source}: attribute 'sha256' is missing, so damage could not be noticed; copy it again")
-    arrays = {name: _field(file, source, name, dtype, axes) for name, (dtype, axes) in _FIELDS.items()}
-    text = _metadata_text(file, source)
+    with reading(source):
+        arrays = {name: _field(file, source, name, dtype, axes) for name, (dtype, axes) in _FIELDS.items()}
+        text = _metadata_text(file, source)
+    rows = len(arrays["observations"])
+    for name in ("actions", "rewards", "next_observations", "terminated", "truncated"):
+        if len(arrays[name]) != rows:
+            raise DatasetError(
+                f"{source}: field '{name}' has {len(arrays[name]):,} rows, 'observations' has {rows:,}; "
+                "the file was edited or mixed from two: generate it again"
+            )
     found = checksum(arrays, text)
     if found != stored:
         raise DatasetError(
@@ -175,7 +197,7 @@ def checksum(arrays: Mapping[str, np.ndarray], text: str) -> str:
 
 
 def read_array(file: h5py.File, source: str, name: str) -> np.ndarray:
-    """One whole data set; raises `DatasetError` where the file is damaged inside it or keeps it elsewhere."""
+    """One whole data set, for use inside `reading`; `DatasetError` where it is no array or lies in another file."""
     link = file.get(name, getlink=True)
     if not isinstance(link, h5py.HardLink):
         raise DatasetError(f"{source}: field '{name}' is a link to another place; write the data into the file itself")
@@ -186,13 +208,7 @@ def read_array(file: h5py.File, source: str, name: str) -> np.ndarray:
         raise DatasetError(f"{source}: field '{name}' is stored in another file; write the data into the file itself")
     if item.shape is None:
         raise DatasetError(f"{source}: field '{name}' is empty; generate the file again")
-    try:
-        return np.asarray(item[()])
-    except (OSError, RuntimeError, ValueError, MemoryError) as error:
-        raise DatasetError(
-            f"{source}: field '{name}' of shape {item.shape} cannot be read ({error}); "
-            "the file is damaged: copy it again"
-        ) from error
+    return np.asarray(item[()])
 
 
 def require_field(file: h5py.File, source: str, name: str) -> None:

@@ -9,6 +9,8 @@ from odaf.errors import ConfigError
 if TYPE_CHECKING:
     import gymnasium
 
+    from odaf.environments.point_maze import PointMaze
+
 _EXTRA = 'pip install "odaf[envs]"'
 
 
@@ -28,13 +30,8 @@ def make(environment: Mapping[str, Any]) -> "Callable[[], gymnasium.Env]":
         maze, steps = Maze.from_dict(environment["maze"]), int(environment.get("steps", 200))
         if steps < 1:
             raise ConfigError(f"environment 'pointmaze': steps is {steps}; give the time limit, 1 or more")
-        try:
-            from odaf.environments.point_maze import PointMaze
-        except ImportError as error:
-            raise ConfigError(
-                f"environment 'pointmaze' needs a simulator that is missing ({error}); {_EXTRA}"
-            ) from error
-        return lambda: PointMaze(maze, steps)
+        build = _point_maze_class()
+        return lambda: build(maze, steps)
     if name == "gymnasium":
         _expect(environment, required={"name", "id"}, optional={"kwargs"})
         identity, kwargs = environment["id"], dict(environment.get("kwargs") or {})
@@ -48,6 +45,19 @@ def make(environment: Mapping[str, Any]) -> "Callable[[], gymnasium.Env]":
             raise ConfigError(f"environment '{identity}': gymnasium does not know it ({error})") from error
         return lambda: gymnasium.make(identity, **kwargs)
     raise ConfigError(f"environment: name is {name!r}; known are 'pointmaze' and 'gymnasium'")
+
+
+def point_maze(maze: Maze, steps: int) -> "PointMaze":
+    """One point maze; `ConfigError` names the extra to install where the simulator is missing."""
+    return _point_maze_class()(maze, steps)
+
+
+def _point_maze_class() -> "type[PointMaze]":
+    try:
+        from odaf.environments.point_maze import PointMaze
+    except ImportError as error:
+        raise ConfigError(f"environment 'pointmaze' needs a simulator that is missing ({error}); {_EXTRA}") from error
+    return PointMaze
 
 
 def _expect(environment: Mapping[str, Any], required: set[str], optional: set[str]) -> None:

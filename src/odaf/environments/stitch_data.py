@@ -19,6 +19,7 @@ import numpy as np
 from odaf.data.dataset import Dataset
 from odaf.environments.controller import WaypointController
 from odaf.environments.maze import CROSSROADS, STITCH, Cell, Maze
+from odaf.environments.registry import point_maze
 from odaf.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -186,9 +187,7 @@ def generate(config: StitchConfig = _PAPER, seed: int = 0) -> Dataset:
     `config.accept` under "acceptance"; each figure that does not is also a finding. The limits are statistical: the
     best of some hundred episodes misses its limits for some seeds.
     """
-    from odaf.environments.point_maze import PointMaze
-
-    environment = PointMaze(config.maze, config.steps)
+    environment = point_maze(config.maze, config.steps)
     logs, owners = [], []
     for index, (route, stream) in enumerate(
         zip(config.routes, np.random.SeedSequence(seed).spawn(len(config.routes)), strict=True)
@@ -196,7 +195,6 @@ def generate(config: StitchConfig = _PAPER, seed: int = 0) -> Dataset:
         rng = np.random.default_rng(stream)
         logs += [_drive(environment, config, route, rng) for _ in range(route.repeats)]
         owners += [index] * route.repeats
-    environment.close()
 
     states, actions, rewards = (np.concatenate(column) for column in zip(*logs, strict=True))
     states = states.reshape(len(logs), config.steps + 1, 4)
@@ -238,13 +236,10 @@ def direct_controller_return(
     paper's maze). Without, it heads for the goal's cell like the logged drivers do (110): what a policy that is no
     faster than the drivers can expect from joining their paths.
     """
-    from odaf.environments.point_maze import PointMaze
-
-    environment = PointMaze(config.maze, config.steps)
+    environment = point_maze(config.maze, config.steps)
     route = Route("direct", goals=(config.maze.goal,), repeats=episodes)
     rng = np.random.default_rng(seed)
     returns = [_drive(environment, config, route, rng, aim_at_target=knows_target)[2].sum() for _ in range(episodes)]
-    environment.close()
     return np.array(returns)
 
 
