@@ -1,6 +1,9 @@
 """Settings that hold for every test: run-time type checks, strict JAX, reproducible examples, one core a worker."""
 
+import functools
 import os
+from collections.abc import Callable
+from pathlib import Path
 
 
 def _own_cores() -> None:
@@ -24,12 +27,39 @@ _own_cores()
 import hypothesis  # noqa: E402
 import jax  # noqa: E402
 import jaxtyping  # noqa: E402
+import optax  # noqa: E402
 
 # Every annotation of the package is checked while the tests run.
 jaxtyping.install_import_hook("odaf", "beartype.beartype")
 
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
+jax.config.update("jax_debug_key_reuse", True)
+
+# Compiled programs are kept between runs, which saves most of a second run's time. A size limit makes JAX lock the
+# folder, so that workers may share it. Processes that a test starts (and may kill) compile for themselves.
+jax.config.update("jax_compilation_cache_dir", str(Path(__file__).parents[1] / ".cache" / "jax-tests"))
+jax.config.update("jax_compilation_cache_max_size", 512 * 2**20)
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
+
+
+def _promoting_freely(function: Callable) -> Callable:
+    """The function of another library, whose own promotions are not ours to judge."""
+
+    @functools.wraps(function)
+    def wrapped(*arguments, **options):
+        with jax.numpy_dtype_promotion("standard"):
+            return function(*arguments, **options)
+
+    return wrapped
+
+
+# Adam's bias correction raises a Python float to the power of an integer array; the schedule compares the two.
+optax.tree.bias_correction = _promoting_freely(optax.tree.bias_correction)
+_cosine_decay_schedule = optax.cosine_decay_schedule
+optax.cosine_decay_schedule = lambda *arguments, **options: _promoting_freely(
+    _cosine_decay_schedule(*arguments, **options)
+)
 
 hypothesis.settings.register_profile("local", deadline=None)
 hypothesis.settings.register_profile("ci", deadline=None, derandomize=True)

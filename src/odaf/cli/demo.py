@@ -17,7 +17,7 @@ class DemoOptions:
     """
 
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("runs/demo")
-    """Directory for the data, the runs, report.html and summary.json; the same command again goes on where it stopped."""
+    """Directory for data, runs, report.html and summary.json; the same command again goes on where it stopped."""
 
 
 def run(arguments: list[str]) -> None:
