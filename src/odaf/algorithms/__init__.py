@@ -1,0 +1,1 @@
+"""Learners: one contract, one file each, registered by name."""

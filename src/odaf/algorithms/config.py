@@ -1,0 +1,124 @@
+"""Learners to and from plain dictionaries: what config.json and preset files hold."""
+
+import dataclasses
+import types
+from collections.abc import Mapping
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+
+from odaf.algorithms.base import Algorithm
+from odaf.algorithms.registry import ALGORITHMS
+from odaf.algorithms.terms import TERMS, Term
+from odaf.errors import ConfigError
+
+
+def to_dict(algorithm: Algorithm) -> dict[str, Any]:
+    """Every field of a learner as JSON types; `from_dict` restores an equal learner."""
+    plain = {"kind": algorithm.kind}
+    for field in dataclasses.fields(algorithm):  # type: ignore[arg-type]  # every learner is a dataclass
+        value = getattr(algorithm, field.name)
+        if field.name == "terms":
+            plain["terms"] = [{"name": term.name, **_plain(term)} for term in value]
+        else:
+            plain[field.name] = _plain(value)
+    return plain
+
+
+def from_dict(fields: Mapping[str, Any], source: str = "configuration") -> Algorithm:
+    """Build a learner.
+
+    Args:
+        fields: "kind" names the learner, the rest its fields; missing fields keep their defaults.
+        source: file or place named in error messages.
+
+    Raises:
+        ConfigError: an unknown kind, term or field, or a value of the wrong type; the message lists what is known.
+    """
+    fields = dict(fields)
+    kind = fields.pop("kind", None)
+    if kind not in ALGORITHMS:
+        raise ConfigError(f"{source}: kind={kind!r} is not a learner; known: {', '.join(ALGORITHMS)}")
+    if "terms" in fields:
+        fields["terms"] = tuple(_term(term, source) for term in fields["terms"])
+    return _build(ALGORITHMS[kind], fields, source, kind)
+
+
+def replace(algorithm: Algorithm, changes: Mapping[str, Any], source: str = "override") -> Algorithm:
+    """A learner with some fields changed.
+
+    Args:
+        algorithm: the learner to start from.
+        changes: values by dotted name: `num_critics`, or a term's field behind the term's name, as in `outcome.weight`
+            and `outcome.dynamics.kind`.
+        source: named in error messages.
+
+    Raises:
+        ConfigError: the learner has no such field or term, or the value has the wrong type.
+    """
+    plain = to_dict(algorithm)
+    for name, value in changes.items():
+        path = name.split(".")
+        terms = {term["name"]: term for term in plain.get("terms", [])}
+        place = plain
+        if len(path) > 1:
+            if path[0] not in terms:
+                known = ", ".join(terms) or "none"
+                raise ConfigError(f"{source}: {name!r} names no term of this learner; its terms: {known}")
+            place, path = terms[path[0]], path[1:]
+        for part in path[:-1]:
+            place = place.get(part) if isinstance(place.get(part), dict) else _unknown(source, name, place)
+        fixed = ("kind", "terms") if place is plain else ("name",)  # these say what the thing is
+        if path[-1] not in place or path[-1] in fixed:
+            _unknown(source, name, place)
+        place[path[-1]] = value
+    return from_dict(plain, source)
+
+
+def _unknown(source: str, name: str, place: Mapping[str, Any]) -> Any:
+    raise ConfigError(f"{source}: unknown field {name!r}; known here: {', '.join(sorted(place))}")
+
+
+def _plain(value: Any) -> Any:
+    if dataclasses.is_dataclass(value):
+        return {field.name: _plain(getattr(value, field.name)) for field in dataclasses.fields(value)}
+    return list(value) if isinstance(value, tuple) else value
+
+
+def _term(fields: Mapping[str, Any], source: str) -> Term:
+    fields = dict(fields)
+    name = fields.pop("name", None)
+    if name not in TERMS:
+        raise ConfigError(f"{source}: name={name!r} is not a term; known: {', '.join(TERMS)}")
+    return _build(TERMS[name], fields, source, name)
+
+
+def _build(cls: Any, fields: Mapping[str, Any], source: str, where: str) -> Any:
+    hints = get_type_hints(cls)
+    known = [field.name for field in dataclasses.fields(cls)]
+    values = {}
+    for name, value in fields.items():
+        if name not in known:
+            raise ConfigError(f"{source}: {where} has no field {name!r}; known: {', '.join(known)}")
+        hint = hints[name]
+        if dataclasses.is_dataclass(hint) and isinstance(value, Mapping):
+            value = _build(hint, value, source, f"{where}.{name}")
+        values[name] = value if name == "terms" else _checked(value, hint, source, f"{where}.{name}")
+    return cls(**values)
+
+
+def _checked(value: Any, hint: Any, source: str, where: str) -> Any:
+    """The value in the field's type; lists become tuples and whole numbers become floats where asked for."""
+    origin, arguments = get_origin(hint), get_args(hint)
+    if origin in (Union, types.UnionType):
+        if value is None and type(None) in arguments:
+            return None
+        return _checked(value, next(a for a in arguments if a is not type(None)), source, where)
+    if origin is Literal and value in arguments and not isinstance(value, bool):
+        return value
+    if origin is tuple and isinstance(value, list | tuple):
+        return tuple(_checked(item, arguments[0], source, where) for item in value)
+    if hint is float and isinstance(value, int | float) and not isinstance(value, bool):
+        return float(value)
+    if isinstance(hint, type) and isinstance(value, hint) and (hint is bool or not isinstance(value, bool)):
+        return value
+    expected = " | ".join(map(repr, arguments)) if origin is Literal else getattr(hint, "__name__", str(hint))
+    raise ConfigError(f"{source}: {where}={value!r} is not of the expected kind: {expected}")

@@ -1,0 +1,8 @@
+"""Terms that turn the plain ensemble soft actor-critic into its relatives. Each file holds one term's maths."""
+
+from odaf.algorithms.terms.base import Context as Context
+from odaf.algorithms.terms.base import Term as Term
+from odaf.algorithms.terms.ood_pessimism import OODPessimism as OODPessimism
+from odaf.algorithms.terms.outcome_penalty import OutcomePenalty as OutcomePenalty
+
+TERMS: dict[str, type[Term]] = {term.name: term for term in (OutcomePenalty, OODPessimism)}

@@ -1,0 +1,97 @@
+"""Pessimism on the policy's own actions: pull each critic at (s^, a ~ pi) below itself by its ensemble's disagreement.
+
+    L_ood = weight * mean_{k, rows, draws} ( Q_k(s^, a^) - sg[ Q_k(s^, a^) - lambda_t std_k Q_k(s^, a^) ] )^2
+
+RORL perturbs the states and uses one lambda_t that decays; PBRL uses the states and the next states as they are, a
+constant lambda at the next states, and floors the targets at 0. Both are settings of this one term.
+"""
+
+import dataclasses
+from typing import ClassVar
+
+import jax
+import jax.numpy as jnp
+import jax.random as jr
+from jaxtyping import Array, Float, Int, PRNGKeyArray, PyTree
+
+from odaf.algorithms.base import Metrics
+from odaf.algorithms.terms.base import Context, Term
+from odaf.components.critics import disagreement
+from odaf.components.perturbations import draw_offsets
+from odaf.components.targets import frozen
+from odaf.errors import ConfigError
+
+
+@dataclasses.dataclass(frozen=True)
+class OODPessimism(Term):
+    """Lower the critics where the policy acts and the ensemble disagrees (PBRL, RORL)."""
+
+    name: ClassVar[str] = "ood"
+
+    weight: float = 0.5
+    """Weight in the critics' loss; 0 leaves the term out."""
+    num_actions: int = 1
+    """Policy actions a state (RORL 20, PBRL 10); the loss is a mean, so this changes noise and cost, not scale."""
+    radius: float = 0.0
+    """Half the edge of the box that states are perturbed in before the policy acts (RORL 0.01, PBRL 0)."""
+    shared_draws: bool = False
+    """One set of offsets for the whole batch, as in RORL's code."""
+    deviations: float = 1.0
+    """lambda at step 0: how many standard deviations the targets lie below the critics."""
+    final_deviations: float = 1.0
+    """lambda after decay_steps."""
+    decay_steps: int = 0
+    """Updates over which lambda goes linearly from deviations to final_deviations; 0 keeps it constant."""
+    next_deviations: float | None = None
+    """lambda for policy actions at the next states (PBRL 0.1); None leaves the next states out (RORL)."""
+    floor: float | None = None
+    """Lower bound of the targets (PBRL 0); the learner's value range bounds them as well."""
+    std_ddof: int = 0
+    """0 divides the variance by K, 1 by K - 1 (both authors' codes)."""
+
+    def __post_init__(self) -> None:
+        if self.num_actions < 1 or self.decay_steps < 0 or self.radius < 0 or self.weight < 0:
+            raise ConfigError(
+                f"ood: num_actions={self.num_actions} must be at least 1; weight={self.weight}, radius={self.radius} "
+                f"and decay_steps={self.decay_steps} must not be negative"
+            )
+
+    def deviations_at(self, step: Int[Array, ""]) -> Float[Array, ""]:
+        """lambda_t: linear decay that stops at its final value."""
+        if self.decay_steps == 0:
+            return jnp.asarray(self.deviations)
+        share = jnp.minimum(step.astype(jnp.float32) / self.decay_steps, 1.0)
+        return self.deviations + (self.final_deviations - self.deviations) * share
+
+    def critic_loss(self, context: Context, side: PyTree, key: PRNGKeyArray) -> tuple[Float[Array, ""], Metrics]:
+        """weight * mean squared distance to the lowered targets; its gradient reaches the critics only."""
+        del side
+        key_here, key_next = jr.split(key)
+        weight_here = self.deviations_at(context.step)
+        loss, spread = self._pull_down(context, context.batch.observations, weight_here, key_here)
+        metrics = {"ood/uncertainty": spread, "ood/deviations": weight_here}
+        if self.next_deviations is not None:  # a mean over twice the rows
+            weight_next = jnp.asarray(self.next_deviations)
+            loss_next, _ = self._pull_down(context, context.batch.next_observations, weight_next, key_next)
+            loss = 0.5 * (loss + loss_next)
+        return self.weight * loss, {"ood/loss": loss, **metrics}
+
+    def _pull_down(
+        self, context: Context, states: Float[Array, "rows obs_dim"], deviations: Float[Array, ""], key: PRNGKeyArray
+    ) -> tuple[Float[Array, ""], Float[Array, ""]]:
+        rows, obs_dim = states.shape
+        draws = self.num_actions
+        key_offsets, key_actions = jr.split(key)
+        offsets = draw_offsets(
+            key_offsets, draws, rows, obs_dim, self.radius, shared=self.shared_draws, include_centre=False
+        )
+        perturbed = (states[None] + offsets).reshape(draws * rows, obs_dim)
+        noise = jr.normal(key_actions, (draws * rows, context.batch.actions.shape[1]))
+        actions, _ = frozen(context.actor).sample(perturbed, noise)
+        values = context.critics(perturbed, actions)
+        spread = disagreement(values, self.std_ddof)
+        targets = values - deviations * spread[None, :]
+        targets = jnp.clip(targets, context.value_bounds[0], context.value_bounds[1])
+        if self.floor is not None:
+            targets = jnp.maximum(targets, self.floor)
+        return jnp.mean(jnp.square(values - jax.lax.stop_gradient(targets))), jnp.mean(spread)

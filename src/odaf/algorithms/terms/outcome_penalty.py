@@ -1,0 +1,183 @@
+"""ODAF's term: penalise actions whose outcome, in the worst case around the state, is one that the critics disagree on.
+
+    L_odaf = weight * mean_s max_{|s^ - s| <= radius} U( P(s^, a^) ),   a^ ~ pi(s^)
+    U(s')  = std_k Q_k(s', a'),                                       a' ~ pi'(s')
+
+P is a dynamics model fitted to the log beforehand, pi' a slowly moving copy of pi. Steps 2 to 6 of the paper's
+Algorithm 1 stand in `outcome_uncertainty` and `worst_case` below. The page docs/algorithms/odaf.md lists the misprints
+of the paper and how each is read here.
+"""
+
+import dataclasses
+from typing import Any, ClassVar, Literal
+
+import jax
+import jax.numpy as jnp
+import jax.random as jr
+from jaxtyping import Array, Float, PRNGKeyArray, PyTree
+
+from odaf.algorithms.base import Metrics, PretrainProgress
+from odaf.algorithms.terms.base import Context, Term
+from odaf.components.critics import disagreement
+from odaf.components.dynamics import DynamicsConfig, DynamicsModel, fit_dynamics, untrained
+from odaf.components.perturbations import draw_offsets, signed_ascent
+from odaf.components.targets import frozen
+from odaf.data.dataset import Dataset
+from odaf.data.normalisation import Normaliser
+from odaf.data.spec import Spec
+from odaf.errors import ConfigError
+
+Noise = tuple[Float[Array, "rows act_dim"], PyTree[Array], Float[Array, "rows act_dim"]]
+
+
+@dataclasses.dataclass(frozen=True)
+class OutcomePenalty(Term):
+    """Worst-case disagreement of the critics at the predicted next state."""
+
+    name: ClassVar[str] = "outcome"
+
+    weight: float = 0.3
+    """beta_odaf, the penalty's weight in the actor's loss; 0 leaves the term out."""
+    radius: float = 0.01
+    """epsilon_odaf, half the edge of the box around a state, in standard deviations of the log."""
+    solver: Literal["gradient", "sample"] = "gradient"
+    """How the worst case is found: signed gradient ascent, or the best of num_draws uniform draws (the paper)."""
+    ascent_steps: int = 1
+    """Projected steps of the gradient solver."""
+    num_draws: int = 20
+    """Draws a state of the sample solver."""
+    reduce: Literal["max", "mean"] = "max"
+    """Worst case over the draws, or their mean (sample solver only)."""
+    include_centre: bool = False
+    """Make the state itself one of the draws."""
+    shared_draws: bool = False
+    """One set of offsets for the whole batch instead of one a state."""
+    next_policy: Literal["slow", "current"] = "slow"
+    """Policy that acts at the predicted state: the slow copy pi', or pi itself (its parameters frozen)."""
+    next_action: Literal["sample", "mode"] = "sample"
+    """Draw that action, or take the policy's deterministic one."""
+    detach_next_action: bool = False
+    """Stop the gradient from U to the predicted state at the action a', leaving the direct path."""
+    std_ddof: Literal[0, 1] = 0
+    """0 divides the variance by K (the paper), 1 by K - 1 (the released code)."""
+    dynamics: DynamicsConfig = dataclasses.field(default_factory=DynamicsConfig)
+    """The model of the next state."""
+
+    def __post_init__(self) -> None:
+        if self.reduce == "mean" and self.solver != "sample":
+            raise ConfigError(
+                "outcome.reduce='mean' averages over draws, but outcome.solver='gradient' draws none; "
+                "set outcome.solver='sample' or outcome.reduce='max'"
+            )
+        if self.radius < 0 or self.weight < 0 or self.num_draws < 1 or self.ascent_steps < 1:
+            raise ConfigError(
+                f"outcome: weight={self.weight} and radius={self.radius} must not be negative, num_draws="
+                f"{self.num_draws} and ascent_steps={self.ascent_steps} must be at least 1"
+            )
+
+    def untrained_side(self, key: PRNGKeyArray, spec: Spec) -> DynamicsModel:
+        """The dynamics model before training."""
+        return untrained(self.dynamics, key, spec.obs_dim, spec.act_dim)
+
+    def pretrain(
+        self, dataset: Dataset, normaliser: Normaliser, key: PRNGKeyArray, progress: PretrainProgress
+    ) -> tuple[DynamicsModel, dict[str, Any]]:
+        """Fit the dynamics model on the log."""
+        return fit_dynamics(
+            self.dynamics, dataset, normaliser, key, lambda done, steps: progress("dynamics model", done, steps)
+        )
+
+    def actor_loss(self, context: Context, side: DynamicsModel, key: PRNGKeyArray) -> tuple[Float[Array, ""], Metrics]:
+        """weight * mean_s of the worst case of U; its gradient reaches the actor only."""
+        uncertainty = self.worst_case(context, side, key)
+        mean = jnp.mean(uncertainty)
+        return self.weight * mean, {"outcome/uncertainty": mean, "outcome/uncertainty/max": jnp.max(uncertainty)}
+
+    def worst_case(self, context: Context, side: DynamicsModel, key: PRNGKeyArray) -> Float[Array, " rows"]:
+        """Worst U (or, with reduce="mean", mean U) over the box around each state of the batch.
+
+        The maximiser is chosen without gradients and only its value is differentiated, with the same noise. By the
+        envelope theorem this is the gradient of the maximum itself.
+        """
+        context = self._without_gradients(context)
+        side = frozen(side)
+        states = context.batch.observations
+        rows, obs_dim = states.shape
+        key_noise, key_offsets = jr.split(key)
+
+        if self.solver == "gradient":
+            noise = self._draw_noise(context, side, key_noise)
+            fixed_actor = frozen(context.actor)
+
+            def at(offsets: Float[Array, "rows obs_dim"]) -> Float[Array, " rows"]:
+                return self.outcome_uncertainty(context, fixed_actor, side, states + offsets, noise)
+
+            offsets = signed_ascent(at, jnp.zeros_like(states), self.radius, self.ascent_steps)
+            return self.outcome_uncertainty(context, context.actor, side, states + offsets, noise)
+
+        offsets = draw_offsets(
+            key_offsets,
+            self.num_draws,
+            rows,
+            obs_dim,
+            self.radius,
+            shared=self.shared_draws,
+            include_centre=self.include_centre,
+        )
+        noises = jax.vmap(lambda k: self._draw_noise(context, side, k))(jr.split(key_noise, self.num_draws))
+        if self.reduce == "mean":
+            values = jax.lax.map(
+                lambda draw: self.outcome_uncertainty(context, context.actor, side, states + draw[0], draw[1]),
+                (offsets, noises),
+            )
+            return jnp.mean(values, axis=0)
+
+        # one draw at a time, so that the activations of a pass stay in the cache
+        fixed_actor = frozen(context.actor)
+        scores = jax.lax.map(
+            lambda draw: self.outcome_uncertainty(context, fixed_actor, side, states + draw[0], draw[1]),
+            (offsets, noises),
+        )
+        best = jnp.argmax(jax.lax.stop_gradient(scores), axis=0)
+        offset, noise = jax.tree.map(lambda draws: draws[best, jnp.arange(rows)], (offsets, noises))
+        return self.outcome_uncertainty(context, context.actor, side, states + offset, noise)
+
+    def outcome_uncertainty(
+        self,
+        context: Context,
+        actor: Any,
+        side: DynamicsModel,
+        perturbed: Float[Array, "rows obs_dim"],
+        noise: Noise,
+    ) -> Float[Array, " rows"]:
+        """U(P(s^, a^)) for one perturbed state s^ a row; differentiable in `actor` and `perturbed`."""
+        action_noise, dynamics_noise, next_noise = noise
+        action, _ = actor.sample(perturbed, action_noise)  # a^ ~ pi(s^)
+        outcome = side.predict(perturbed, action, dynamics_noise)  # s^' = P(s^, a^)
+        next_actor = context.slow_actor if self.next_policy == "slow" else frozen(context.actor)
+        if self.next_action == "sample":
+            next_action, _ = next_actor.sample(outcome, next_noise)  # a^' ~ pi'(s^')
+        else:
+            next_action = next_actor.mode(outcome)
+        if self.detach_next_action:
+            next_action = jax.lax.stop_gradient(next_action)
+        return disagreement(context.critics(outcome, next_action), self.std_ddof)  # U = std_k Q_k(s^', a^')
+
+    def _draw_noise(self, context: Context, side: DynamicsModel, key: PRNGKeyArray) -> Noise:
+        rows, act_dim = context.batch.actions.shape
+        key_action, key_dynamics, key_next = jr.split(key, 3)
+        return (
+            jr.normal(key_action, (rows, act_dim)),
+            side.draw_noise(key_dynamics, rows),
+            jr.normal(key_next, (rows, act_dim)),
+        )
+
+    @staticmethod
+    def _without_gradients(context: Context) -> Context:
+        """Everything but the actor becomes a constant."""
+        return dataclasses.replace(
+            context,
+            slow_actor=frozen(context.slow_actor),
+            critics=frozen(context.critics),
+            target_critics=frozen(context.target_critics),
+        )

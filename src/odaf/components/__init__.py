@@ -1,0 +1,1 @@
+"""Parts that learners are built from: networks, distributions, critics, targets, perturbations, dynamics models."""

@@ -1,0 +1,45 @@
+"""The stacked ensemble of Q-functions and what is read off it."""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from odaf.components.networks import MLP, Norm, init_mlp
+
+OUTPUT_BOUND = 3e-3
+ROOT_EPSILON = 1e-12
+
+
+class CriticEnsemble(eqx.Module):
+    """Q_1..Q_K as one stack of networks."""
+
+    networks: MLP
+
+    def __call__(
+        self, observations: Float[Array, "rows obs_dim"], actions: Float[Array, "rows act_dim"]
+    ) -> Float[Array, "critics rows"]:
+        """Q_k(s, a) of every member for every row."""
+        return self.networks(jnp.concatenate([observations, actions], axis=-1))[..., 0]
+
+
+def init_critics(
+    key: PRNGKeyArray, obs_dim: int, act_dim: int, hidden_sizes: tuple[int, ...], num_critics: int, norm: Norm
+) -> CriticEnsemble:
+    """Draw `num_critics` independent Q-functions."""
+    sizes = (obs_dim + act_dim, *hidden_sizes, 1)
+    return CriticEnsemble(init_mlp(key, sizes, members=num_critics, norm=norm, output_bound=OUTPUT_BOUND))
+
+
+def disagreement(values: Float[Array, "critics *rows"], ddof: int = 0) -> Float[Array, "*rows"]:
+    """Standard deviation over the ensemble: the uncertainty U(s, a).
+
+    Args:
+        values: Q_k(s, a).
+        ddof: 0 divides by K, as the ODAF paper writes it; 1 divides by K - 1, as its released code does.
+
+    Returns:
+        One non-negative number a row. 1e-12 inside the root keeps the gradient finite where all members agree.
+    """
+    centred = values - jnp.mean(values, axis=0, keepdims=True)
+    variance = jnp.sum(jnp.square(centred), axis=0) / (values.shape[0] - ddof)
+    return jnp.sqrt(variance + ROOT_EPSILON)

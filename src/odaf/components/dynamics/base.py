@@ -1,0 +1,116 @@
+"""What every dynamics model offers, and the settings that choose and train one."""
+
+import abc
+import dataclasses
+from typing import Literal
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float, PRNGKeyArray, PyTree
+
+
+@dataclasses.dataclass(frozen=True)
+class DynamicsConfig:
+    """Which dynamics model, and how it is pre-trained."""
+
+    kind: Literal["deterministic", "ensemble", "cvae"] = "deterministic"
+    """deterministic: one regression network; ensemble: probabilistic ensemble; cvae: the paper's variational model."""
+    hidden_sizes: tuple[int, ...] = (256, 256)
+    """Widths of the hidden layers (of the decoder for cvae, whose encoder has one layer more)."""
+    residual: bool = True
+    """Predict the scaled change s' - s; False predicts the next state itself, as the paper's model does."""
+    steps: int = 10_000
+    """Gradient steps before the policy is trained; the model is frozen afterwards."""
+    batch_size: int = 256
+    """Rows a gradient step (and a member)."""
+    learning_rate: float = 1e-3
+    """Step size of Adam."""
+    schedule: Literal["cosine", "constant"] = "cosine"
+    """Course of the learning rate: down to zero over the steps, or constant."""
+    holdout: float = 0.05
+    """Share of the episodes kept out of training to measure the error on."""
+    members: int = 7
+    """Networks trained (ensemble only)."""
+    elites: int = 5
+    """Networks kept, those with the lowest hold-out error (ensemble only)."""
+    latent_dim: int = 32
+    """Width of the latent variable (cvae only)."""
+    encoder: Literal["state-action", "transition"] = "state-action"
+    """What the cvae's encoder sees: (s, a) as printed in the paper, or (s, a, s'), a true posterior."""
+
+
+class DynamicsModel(eqx.Module):
+    """Predicts the next state from a state and an action, all in normalised units.
+
+    Randomness comes in as explicit noise, so that a caller who scored several draws can evaluate a chosen one again.
+    """
+
+    network: eqx.AbstractVar[eqx.Module]
+    shift: eqx.AbstractVar[Float[Array, " obs_dim"]]
+    scale: eqx.AbstractVar[Float[Array, " obs_dim"]]
+    residual: eqx.AbstractVar[bool]
+
+    def to_state(
+        self, observations: Float[Array, "*rows obs_dim"], output: Float[Array, "*members rows obs_dim"]
+    ) -> Float[Array, "*members rows obs_dim"]:
+        """Next state from the network's output: s' = [s +] shift + scale * output."""
+        rank = output.ndim
+        shift, scale = (jnp.expand_dims(v, tuple(range(rank - 1))) for v in (self.shift, self.scale))
+        state = shift + scale * output
+        if not self.residual:
+            return state
+        return jnp.expand_dims(observations, tuple(range(rank - observations.ndim))) + state
+
+    def to_output(
+        self, observations: Float[Array, "*rows obs_dim"], next_observations: Float[Array, "*rows obs_dim"]
+    ) -> Float[Array, "*rows obs_dim"]:
+        """The network output that would predict this next state exactly; inverse of `to_state`."""
+        axes = tuple(range(observations.ndim - 1))
+        shift, scale = (jnp.expand_dims(v, axes) for v in (self.shift, self.scale))
+        base = observations if self.residual else jnp.zeros_like(observations)
+        return (next_observations - base - shift) / scale
+
+    @property
+    def bootstraps(self) -> int | None:
+        """Number of bootstrap samples that training draws; None when the model sees one plain batch."""
+        return None
+
+    @abc.abstractmethod
+    def draw_noise(self, key: PRNGKeyArray, rows: int) -> PyTree[Array]:
+        """Noise for one prediction a row: arrays whose first axis is `rows`."""
+
+    @abc.abstractmethod
+    def predict(
+        self,
+        observations: Float[Array, "rows obs_dim"],
+        actions: Float[Array, "rows act_dim"],
+        noise: PyTree[Array],
+    ) -> Float[Array, "rows obs_dim"]:
+        """One next state a row, differentiable in state and action."""
+
+    @abc.abstractmethod
+    def expected(
+        self, observations: Float[Array, "rows obs_dim"], actions: Float[Array, "rows act_dim"]
+    ) -> Float[Array, "rows obs_dim"]:
+        """The model's mean (or its central) prediction, used for the hold-out error."""
+
+    @abc.abstractmethod
+    def loss(
+        self,
+        observations: Float[Array, "*members rows obs_dim"],
+        actions: Float[Array, "*members rows act_dim"],
+        next_observations: Float[Array, "*members rows obs_dim"],
+        key: PRNGKeyArray,
+    ) -> Float[Array, ""]:
+        """Training loss; arrays have a leading axis of `bootstraps` when that is not None."""
+
+    def finished(
+        self,
+        observations: Float[Array, "rows obs_dim"],
+        actions: Float[Array, "rows act_dim"],
+        next_observations: Float[Array, "rows obs_dim"],
+        elites: int,
+    ) -> "DynamicsModel":
+        """The model to keep after training, given the hold-out rows; an ensemble keeps its best members."""
+        del observations, actions, next_observations, elites
+        return self

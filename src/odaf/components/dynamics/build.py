@@ -1,0 +1,50 @@
+"""A dynamics model of the configured kind, before training."""
+
+import jax.numpy as jnp
+import jax.random as jr
+from jaxtyping import PRNGKeyArray
+
+from odaf.components.dynamics.base import DynamicsConfig, DynamicsModel
+from odaf.components.dynamics.cvae import CVAEDynamics
+from odaf.components.dynamics.deterministic import DeterministicDynamics
+from odaf.components.dynamics.gaussian_ensemble import (
+    LOG_VARIANCE_MAX,
+    LOG_VARIANCE_MIN,
+    GaussianEnsembleDynamics,
+)
+from odaf.components.networks import init_mlp
+
+
+def untrained(
+    config: DynamicsConfig, key: PRNGKeyArray, obs_dim: int, act_dim: int, members: int | None = None
+) -> DynamicsModel:
+    """Draw the networks of a model.
+
+    Args:
+        config: kind and sizes.
+        key: random key.
+        obs_dim: state dimension.
+        act_dim: action dimension.
+        members: ensemble size; None gives the size that is kept after training (`config.elites`).
+    """
+    shift, scale = jnp.zeros(obs_dim), jnp.ones(obs_dim)
+    hidden, inputs = config.hidden_sizes, obs_dim + act_dim
+    if config.kind == "deterministic":
+        network = init_mlp(key, (inputs, *hidden, obs_dim))
+        return DeterministicDynamics(network, shift, scale, config.residual)
+    if config.kind == "ensemble":
+        network = init_mlp(
+            key,
+            (inputs, *hidden, 2 * obs_dim),
+            members=config.elites if members is None else members,
+            activation="silu",
+            hidden_bias=0.0,
+        )
+        bounds = jnp.full(obs_dim, LOG_VARIANCE_MAX), jnp.full(obs_dim, LOG_VARIANCE_MIN)
+        return GaussianEnsembleDynamics(network, *bounds, shift, scale, config.residual)
+    key_encoder, key_decoder = jr.split(key)
+    sees_target = config.encoder == "transition"
+    condition = inputs + (obs_dim if sees_target else 0)
+    encoder = init_mlp(key_encoder, (condition, *hidden, hidden[-1], 2 * config.latent_dim), hidden_bias=0.0)
+    decoder = init_mlp(key_decoder, (inputs + config.latent_dim, *hidden, obs_dim), hidden_bias=0.0)
+    return CVAEDynamics(decoder, encoder, shift, scale, config.residual, sees_target)

@@ -1,0 +1,53 @@
+"""Worst cases inside a box |offset| <= radius around a state, found by sampling or by signed ascent."""
+
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+import jax.random as jr
+from jaxtyping import Array, Float, PRNGKeyArray
+
+Objective = Callable[[Float[Array, "rows obs_dim"]], Float[Array, " rows"]]
+
+
+def draw_offsets(
+    key: PRNGKeyArray, draws: int, rows: int, obs_dim: int, radius: float, *, shared: bool, include_centre: bool
+) -> Float[Array, "draws rows obs_dim"]:
+    """Uniform offsets in the box.
+
+    Args:
+        key: random key.
+        draws: offsets a state.
+        rows: states in the batch.
+        obs_dim: state dimension.
+        radius: half the edge of the box, in normalised units.
+        shared: every state of the batch gets the same offsets (as in RORL's code) instead of its own.
+        include_centre: the first draw is replaced by the state itself.
+    """
+    shape = (draws, 1 if shared else rows, obs_dim)
+    offsets = jnp.broadcast_to(jr.uniform(key, shape, minval=-radius, maxval=radius), (draws, rows, obs_dim))
+    return offsets.at[0].set(0.0) if include_centre else offsets
+
+
+def signed_ascent(
+    objective: Objective, offsets: Float[Array, "rows obs_dim"], radius: float, steps: int
+) -> Float[Array, "rows obs_dim"]:
+    """Offsets that raise a row-wise objective, by projected steps along the sign of its gradient.
+
+    One step from the centre goes straight to a corner of the box, which is the maximum of any objective that is linear
+    in the box. More steps are shorter (twice the radius divided by their number) and are projected back.
+
+    Args:
+        objective: maps offsets to one value a row; rows must not interact.
+        offsets: starting point, inside the box.
+        radius: half the edge of the box.
+        steps: at least one.
+
+    Returns:
+        Offsets inside the box, without gradient.
+    """
+    length = radius if steps == 1 else 2.0 * radius / steps
+    gradient = jax.grad(lambda candidate: jnp.sum(objective(candidate)))
+    for _ in range(steps):
+        offsets = jnp.clip(offsets + length * jnp.sign(gradient(offsets)), -radius, radius)
+    return jax.lax.stop_gradient(offsets)
