@@ -1,0 +1,84 @@
+"""The documentation does what it says: Python examples run, commands and their options exist, links lead somewhere."""
+
+import json
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+
+from odaf.cli.dispatch import find_command, main
+
+ROOT = Path(__file__).parents[1]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
+NAMES = [str(page.relative_to(ROOT)) for page in PAGES]
+
+_BLOCK = re.compile(r"^```(\w+)\n(.*?)^```", re.MULTILINE | re.DOTALL)
+_LINK = re.compile(r"\[[^\]]*\]\(([^)\s#]+)(?:#[^)]*)?\)|<img[^>]+src=\"([^\"]+)\"")
+
+
+def blocks(page: Path, language: str) -> list[tuple[int, str]]:
+    """Line number and text of each fenced block of one language."""
+    text = page.read_text(encoding="utf-8")
+    return [(text.count("\n", 0, m.start()) + 2, m[2]) for m in _BLOCK.finditer(text) if m[1] == language]
+
+
+def commands(page: Path) -> list[tuple[int, list[str]]]:
+    """Line number and words of every `odaf ...` in the page's shell blocks; a backslash continues a line."""
+    found = []
+    for first, text in blocks(page, "sh"):
+        for offset, line in enumerate(text.replace("\\\n", " ").splitlines()):
+            if line.startswith("odaf "):
+                found.append((first + offset, shlex.split(line, comments=True)[1:]))
+    return found
+
+
+@pytest.mark.parametrize("page", [p for p in PAGES if blocks(p, "python")], ids=lambda p: str(p.relative_to(ROOT)))
+def test_python_examples_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """The blocks of one page are one program, run where it can leave files."""
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, object] = {"__name__": "example"}
+    for line, text in blocks(page, "python"):
+        # Blank lines in front make a traceback name the line of the page.
+        exec(compile("\n" * (line - 1) + text, str(page), "exec"), names)
+
+
+def test_the_readme_has_an_example_and_it_is_short():
+    found = blocks(ROOT / "README.md", "python")
+    assert len(found) == 1
+    assert len(found[0][1].splitlines()) <= 20
+
+
+@pytest.mark.parametrize("page", PAGES, ids=NAMES)
+def test_commands_and_their_options_exist(page: Path, capsys: pytest.CaptureFixture[str]):
+    helps: dict[str, str] = {}
+    for line, words in commands(page):
+        command, rest = find_command(words)
+        if command is None:
+            assert words in (["--help"], ["--version"]), f"{page}:{line}: odaf {' '.join(words)}: no such command"
+            continue
+        name = command.name.split()
+        if command.name == "train":
+            name, rest = [*name, rest[0]], rest[1:]
+        if (key := " ".join(name)) not in helps:
+            assert main([*name, "--help"]) == 0, f"{page}:{line}: odaf {key}"
+            helps[key] = capsys.readouterr().out
+        for word in rest:
+            if word.startswith("--") and word not in ("--help", "--debug"):
+                assert re.search(rf"{re.escape(word)}[\s,]", helps[key]), f"{page}:{line}: odaf {key} has no {word}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=NAMES)
+def test_links_to_files_lead_somewhere(page: Path):
+    for match in _LINK.finditer(page.read_text(encoding="utf-8")):
+        target = match[1] or match[2]
+        if "://" not in target and not target.startswith("mailto:"):
+            assert (page.parent / target).exists(), f"{page} links to {target}, which is not there"
+
+
+def test_the_maze_on_the_data_page_can_be_recorded():
+    from odaf.environments.stitch_data import StitchConfig
+
+    (_, text), *_ = blocks(ROOT / "docs" / "data.md", "json")
+    config = StitchConfig.from_dict(json.loads(text))
+    assert sum(route.repeats for route in config.routes) == 200
