@@ -64,11 +64,7 @@ class Dataset:
         for field in ("terminated", "truncated"):
             own[field] = validation.flags(source, field, getattr(self, field))
         rows = validation.same_length(source, own)
-        if own["next_observations"].shape != own["observations"].shape:
-            raise DatasetError(
-                f"{source}: field 'next_observations' has {own['next_observations'].shape[1]} columns, "
-                f"'observations' has {own['observations'].shape[1]}; both must describe the same quantities"
-            )
+        validation.same_width(source, own["observations"], own["next_observations"])
         obs_dim, act_dim = own["observations"].shape[1], own["actions"].shape[1]
         own["observation_names"] = validation.names(
             source, "observation_names", self.observation_names, obs_dim, "observation"
@@ -145,6 +141,8 @@ class Dataset:
             if values is not None:
                 columns[field] = validation.flags(source, field, values)
         rows = validation.same_length(source, columns)
+        if "next_observations" in columns:
+            validation.same_width(source, columns["observations"], columns["next_observations"])
         if episode is not None:
             episode = np.asarray(episode)
             if episode.shape != (rows,):

@@ -10,7 +10,8 @@ from odaf.errors import DatasetError
 # Actions may miss their bounds by this share of the range (rounding in the logger); they are then moved onto them.
 BOUND_TOLERANCE = 1e-3
 
-Bounds = Mapping[str, tuple[float, float]] | Sequence[Any]
+# (low, high), each a number or one per action; or {action name: (low, high)}.
+Bounds = Mapping[str, Any] | Sequence[Any] | np.ndarray
 
 
 def name_rows(mask: np.ndarray, limit: int = 5) -> str:
@@ -82,6 +83,15 @@ def same_length(source: str, columns: Mapping[str, np.ndarray]) -> int:
     if reference == 0:
         raise DatasetError(f"{source}: there are no rows; a dataset needs at least one transition")
     return reference
+
+
+def same_width(source: str, observations: np.ndarray, next_observations: np.ndarray) -> None:
+    """Refuses successors that describe other quantities than the observations."""
+    if next_observations.shape[1] != observations.shape[1]:
+        raise DatasetError(
+            f"{source}: field 'next_observations' has {next_observations.shape[1]} columns, 'observations' has "
+            f"{observations.shape[1]}; both must describe the same quantities in the same order"
+        )
 
 
 def finite(source: str, field: str, array: np.ndarray) -> None:

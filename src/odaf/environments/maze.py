@@ -35,21 +35,23 @@ class Maze:
     avoid: tuple[Cell, ...] = ()
 
     def __post_init__(self):
+        title = f"maze '{self.name}'"
         object.__setattr__(self, "rows", tuple(self.rows))
-        object.__setattr__(self, "start", _cell(self.name, "start", self.start))
-        object.__setattr__(self, "goal", _cell(self.name, "goal", self.goal))
-        object.__setattr__(self, "avoid", tuple(_cell(self.name, "avoid", cell) for cell in self.avoid))
-        widths = {len(row) for row in self.rows}
-        if not self.rows or len(widths) != 1 or widths == {0} or set("".join(self.rows)) - {"0", "1"}:
+        object.__setattr__(self, "start", as_cell(title, "start", self.start))
+        object.__setattr__(self, "goal", as_cell(title, "goal", self.goal))
+        object.__setattr__(self, "avoid", tuple(as_cell(title, "avoid", cell) for cell in self.avoid))
+        strings = all(isinstance(row, str) for row in self.rows)
+        widths = {len(row) for row in self.rows} if strings else set()
+        if len(widths) != 1 or widths == {0} or set("".join(self.rows)) - {"0", "1"}:
             raise ConfigError(
-                f"maze '{self.name}': rows must be equally long strings of '1' (wall) and '0' (free); got {self.rows}"
+                f"{title}: rows must be equally long strings of '1' (wall) and '0' (free); got {self.rows}"
             )
         border = [self.rows[0], self.rows[-1], *(row[0] + row[-1] for row in self.rows)]
         if "0" in "".join(border):
-            raise ConfigError(f"maze '{self.name}': the border must be wall ('1') all around; got {self.rows}")
+            raise ConfigError(f"{title}: the border must be wall ('1') all around; got {self.rows}")
         for field, cell in (("start", self.start), ("goal", self.goal), *(("avoid", cell) for cell in self.avoid)):
             if not self.is_free(cell):
-                raise ConfigError(f"maze '{self.name}': {field} cell {cell} is a wall or outside the map {self.rows}")
+                raise ConfigError(f"{title}: {field} cell {cell} is a wall or outside the map {self.rows}")
         self.path(self.start, self.goal)
 
     def is_free(self, cell: Cell) -> bool:
@@ -107,18 +109,26 @@ class Maze:
         missing, unknown = {"rows", "start", "goal"} - set(fields), set(fields) - known
         if missing or unknown:
             raise ConfigError(f"maze: missing fields {sorted(missing)}, unknown fields {sorted(unknown)}")
-        return cls(**{"name": "custom", **fields})
+        name = str(fields.get("name", "custom"))
+        return cls(
+            name=name,
+            rows=tuple(fields["rows"]),
+            start=as_cell(f"maze '{name}'", "start", fields["start"]),
+            goal=as_cell(f"maze '{name}'", "goal", fields["goal"]),
+            avoid=tuple(as_cell(f"maze '{name}'", "avoid", cell) for cell in fields.get("avoid", ())),
+        )
 
 
 def _neighbours(cell: Cell) -> list[Cell]:
     return [(cell[0] + down, cell[1] + right) for down, right in _MOVES]
 
 
-def _cell(name: str, field: str, value: Any) -> Cell:
+def as_cell(title: str, field: str, value: Any) -> Cell:
+    """`value` as (row, column); `ConfigError` begins with `title` and names `field`."""
     try:
         row, column = (int(part) for part in value)
     except (TypeError, ValueError) as error:
-        raise ConfigError(f"maze '{name}': {field} must be a cell (row, column); got {value!r}") from error
+        raise ConfigError(f"{title}: {field} must be a cell (row, column); got {value!r}") from error
     return row, column
 
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from odaf.data.dataset import Dataset
 from odaf.environments.controller import WaypointController
-from odaf.environments.maze import CROSSROADS, STITCH, Cell, Maze
+from odaf.environments.maze import CROSSROADS, STITCH, Cell, Maze, as_cell
 from odaf.environments.registry import point_maze
 from odaf.errors import ConfigError
 
@@ -50,15 +50,16 @@ class Route:
     start: Cell | None = None
 
     def __post_init__(self):
-        object.__setattr__(self, "goals", tuple((int(row), int(column)) for row, column in self.goals))
+        title = f"route '{self.name}'"
+        object.__setattr__(self, "goals", tuple(as_cell(title, "goals", cell) for cell in self.goals))
         if self.start is not None:
-            object.__setattr__(self, "start", (int(self.start[0]), int(self.start[1])))
+            object.__setattr__(self, "start", as_cell(title, "start", self.start))
         if not self.goals:
-            raise ConfigError(f"route '{self.name}': goals is empty; name at least one cell to drive to")
+            raise ConfigError(f"{title}: goals is empty; name at least one cell to drive to")
         if self.repeats < 0:
-            raise ConfigError(f"route '{self.name}': repeats is {self.repeats}; give 0 or more episodes")
+            raise ConfigError(f"{title}: repeats is {self.repeats}; give 0 or more episodes")
         if self.after not in ("hold", "random"):
-            raise ConfigError(f"route '{self.name}': after is {self.after!r}; known are 'hold' and 'random'")
+            raise ConfigError(f"{title}: after is {self.after!r}; known are 'hold' and 'random'")
 
 
 @dataclass(frozen=True)
