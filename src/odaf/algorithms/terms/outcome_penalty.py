@@ -48,6 +48,8 @@ class OutcomePenalty(Term):
     """Draws a state of the sample solver."""
     reduce: Literal["max", "mean"] = "max"
     """Worst case over the draws, or their mean (sample solver only)."""
+    num_states: int | None = None
+    """States of the batch that the penalty is averaged over, the first so many; None takes all. Fewer cost less."""
     include_centre: bool = False
     """Make the state itself one of the draws."""
     shared_draws: bool = False
@@ -69,11 +71,13 @@ class OutcomePenalty(Term):
                 "outcome.reduce='mean' averages over draws, but outcome.solver='gradient' draws none; "
                 "set outcome.solver='sample' or outcome.reduce='max'"
             )
-        if self.radius < 0 or self.weight < 0 or self.num_draws < 1 or self.ascent_steps < 1:
-            raise ConfigError(
-                f"outcome: weight={self.weight} and radius={self.radius} must not be negative, num_draws="
-                f"{self.num_draws} and ascent_steps={self.ascent_steps} must be at least 1"
-            )
+        counts = {"num_draws": self.num_draws, "ascent_steps": self.ascent_steps, "num_states": self.num_states}
+        for field, count in counts.items():
+            if count is not None and count < 1:
+                raise ConfigError(f"outcome.{field}={count} must be at least 1")
+        for field, amount in {"weight": self.weight, "radius": self.radius}.items():
+            if amount < 0:
+                raise ConfigError(f"outcome.{field}={amount} must not be negative")
 
     def untrained_side(self, key: PRNGKeyArray, spec: Spec) -> DynamicsModel:
         """The dynamics model before training."""
@@ -101,12 +105,13 @@ class OutcomePenalty(Term):
         """
         context = self._without_gradients(context)
         side = frozen(side)
-        states = context.batch.observations
+        states = context.batch.observations[: self.num_states]
         rows, obs_dim = states.shape
+        act_dim = context.batch.actions.shape[1]
         key_noise, key_offsets = jr.split(key)
 
         if self.solver == "gradient":
-            noise = self._draw_noise(context, side, key_noise)
+            noise = self._draw_noise(side, rows, act_dim, key_noise)
             fixed_actor = frozen(context.actor)
 
             def at(offsets: Float[Array, "rows obs_dim"]) -> Float[Array, " rows"]:
@@ -124,7 +129,7 @@ class OutcomePenalty(Term):
             shared=self.shared_draws,
             include_centre=self.include_centre,
         )
-        noises = jax.vmap(lambda k: self._draw_noise(context, side, k))(jr.split(key_noise, self.num_draws))
+        noises = jax.vmap(lambda k: self._draw_noise(side, rows, act_dim, k))(jr.split(key_noise, self.num_draws))
         if self.reduce == "mean":
             values = jax.lax.map(
                 lambda draw: self.outcome_uncertainty(context, context.actor, side, states + draw[0], draw[1]),
@@ -163,8 +168,8 @@ class OutcomePenalty(Term):
             next_action = jax.lax.stop_gradient(next_action)
         return disagreement(context.critics(outcome, next_action), self.std_ddof)  # U = std_k Q_k(s^', a^')
 
-    def _draw_noise(self, context: Context, side: DynamicsModel, key: PRNGKeyArray) -> Noise:
-        rows, act_dim = context.batch.actions.shape
+    @staticmethod
+    def _draw_noise(side: DynamicsModel, rows: int, act_dim: int, key: PRNGKeyArray) -> Noise:
         key_action, key_dynamics, key_next = jr.split(key, 3)
         return (
             jr.normal(key_action, (rows, act_dim)),
