@@ -28,7 +28,7 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray, PyTree
 from odaf.algorithms.base import Algorithm, LearnerState, Metrics, PretrainProgress
 from odaf.algorithms.terms.base import Context, Term
 from odaf.components.critics import CriticEnsemble, init_critics
-from odaf.components.losses import ensemble_td_loss, soft_actor_loss, temperature_loss
+from odaf.components.losses import ensemble_td_gradient, soft_actor_loss, temperature_loss
 from odaf.components.policies import GaussianActor, init_gaussian_actor
 from odaf.components.targets import bellman_target, copy_of, frozen, polyak, value_range
 from odaf.data.dataset import Dataset
@@ -161,13 +161,12 @@ class EnsembleSAC(Algorithm):
         y = bellman_target(batch.rewards, batch.terminated, next_values, self.discount)
         return jnp.clip(y, state.value_bounds[0], state.value_bounds[1])
 
-    def critic_loss(
-        self, critics: CriticEnsemble, state: EnsembleState, batch: Transitions, key: PRNGKeyArray
-    ) -> tuple[Float[Array, ""], Metrics]:
-        """L_Q and the terms' additions, as a function of the critics."""
-        y = jax.lax.stop_gradient(self.target(state, batch, jr.fold_in(key, 0)))
-        values = critics(batch.observations, batch.actions)
-        loss = ensemble_td_loss(values, y)
+    def critic_gradient(
+        self, state: EnsembleState, batch: Transitions, key: PRNGKeyArray
+    ) -> tuple[CriticEnsemble, Metrics]:
+        """Gradient of L_Q plus the terms' additions with respect to the critics."""
+        y = self.target(state, batch, jr.fold_in(key, 0))
+        gradient, loss, values = ensemble_td_gradient(state.critics, batch.observations, batch.actions, y)
         metrics = {
             "critic/loss": loss,
             "critic/mean": jnp.mean(values),
@@ -175,10 +174,22 @@ class EnsembleSAC(Algorithm):
             "critic/max": jnp.max(values),
             "target/mean": jnp.mean(y),
         }
+        if any(term.acts_on_critics for term in self.active_terms):
+            additions = eqx.filter_grad(self.critic_additions, has_aux=True)
+            addition, more = additions(state.critics, state, batch, key)
+            gradient, metrics = jax.tree.map(jnp.add, gradient, addition), metrics | more
+        return gradient, metrics
+
+    def critic_additions(
+        self, critics: CriticEnsemble, state: EnsembleState, batch: Transitions, key: PRNGKeyArray
+    ) -> tuple[Float[Array, ""], Metrics]:
+        """What the terms add to L_Q, as a function of the critics."""
+        loss, metrics = jnp.zeros(()), {}
         context = self._context(state, batch, critics=critics)
         for term, side in zip(self.active_terms, state.side, strict=True):
-            addition, more = term.critic_loss(context, side, _key_for(term, key))
-            loss, metrics = loss + addition, metrics | more
+            if term.acts_on_critics:
+                addition, more = term.critic_loss(context, side, _key_for(term, key))
+                loss, metrics = loss + addition, metrics | more
         return loss, metrics
 
     def actor_loss(
@@ -193,8 +204,9 @@ class EnsembleSAC(Algorithm):
         metrics = {"actor/loss": loss, "actor/value": jnp.mean(values), "actor/entropy": -jnp.mean(log_density)}
         context = self._context(state, batch, actor=actor)
         for term, side in zip(self.active_terms, state.side, strict=True):
-            addition, more = term.actor_loss(context, side, _key_for(term, key))
-            loss, metrics = loss + addition, metrics | more
+            if term.acts_on_actor:
+                addition, more = term.actor_loss(context, side, _key_for(term, key))
+                loss, metrics = loss + addition, metrics | more
         return loss, (log_density, metrics)
 
     # ---- training -----------------------------------------------------------------------------------------------
@@ -205,9 +217,7 @@ class EnsembleSAC(Algorithm):
         actor_gradient, (log_density, actor_metrics) = eqx.filter_grad(self.actor_loss, has_aux=True)(
             state.actor, state, batch, key_actor
         )
-        critic_gradient, critic_metrics = eqx.filter_grad(self.critic_loss, has_aux=True)(
-            state.critics, state, batch, key_critic
-        )
+        critic_gradient, critic_metrics = self.critic_gradient(state, batch, key_critic)
         target_entropy = float(-batch.actions.shape[1]) if self.target_entropy is None else self.target_entropy
         temperature_gradient = jax.grad(temperature_loss)(state.log_temperature, log_density, target_entropy)
 

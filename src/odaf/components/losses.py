@@ -4,14 +4,38 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from odaf.components.critics import CriticEnsemble, over_members
+from odaf.components.networks import MLP
 
-def ensemble_td_loss(values: Float[Array, "critics rows"], target: Float[Array, " rows"]) -> Float[Array, ""]:
-    """sum_k mean_B (Q_k - y)^2, no factor one half; y receives no gradient.
 
-    Summing over members makes each member's effective learning rate independent of the ensemble's size.
+def td_loss(values: Float[Array, " rows"], target: Float[Array, " rows"]) -> Float[Array, ""]:
+    """mean_B (Q_k - y)^2 of one member, no factor one half; y receives no gradient."""
+    return jnp.mean(jnp.square(values - jax.lax.stop_gradient(target)))
+
+
+def ensemble_td_gradient(
+    critics: CriticEnsemble,
+    observations: Float[Array, "rows obs_dim"],
+    actions: Float[Array, "rows act_dim"],
+    target: Float[Array, " rows"],
+) -> tuple[CriticEnsemble, Float[Array, ""], Float[Array, "critics rows"]]:
+    """Gradient, value and predictions of L_Q = sum_k mean_B (Q_k - y)^2.
+
+    Summing over members makes each member's effective learning rate independent of the ensemble's size. It also means
+    that members do not interact, so each one's gradient is taken on its own, forward and backward in one go.
     """
-    errors = values - jax.lax.stop_gradient(target)[None, :]
-    return jnp.sum(jnp.mean(jnp.square(errors), axis=1))
+    inputs = jnp.concatenate([observations, actions], axis=-1)
+
+    def member(network: MLP) -> tuple[MLP, Float[Array, ""], Float[Array, " rows"]]:
+        def loss(network: MLP) -> tuple[Float[Array, ""], Float[Array, " rows"]]:
+            values = network(inputs)[:, 0]
+            return td_loss(values, target), values
+
+        (value, predictions), gradient = jax.value_and_grad(loss, has_aux=True)(network)
+        return gradient, value, predictions
+
+    gradients, values, predictions = over_members(member, critics.networks)
+    return CriticEnsemble(gradients), jnp.sum(values), predictions
 
 
 def soft_actor_loss(

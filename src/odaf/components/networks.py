@@ -1,5 +1,6 @@
 """Multi-layer perceptrons, single or stacked along a leading axis so that an ensemble is one batched product."""
 
+import itertools
 from typing import Literal
 
 import equinox as eqx
@@ -92,7 +93,7 @@ def init_mlp(
     """
     stack = () if members is None else (members,)
     weights, biases = [], []
-    for index, (fan_in, fan_out) in enumerate(zip(sizes[:-1], sizes[1:], strict=True)):
+    for index, (fan_in, fan_out) in enumerate(itertools.pairwise(sizes)):
         key_weight, key_bias = jr.split(jr.fold_in(key, index))
         is_output = index == len(sizes) - 2
         bound = output_bound if is_output and output_bound is not None else fan_in**-0.5

@@ -36,6 +36,8 @@ class Term(abc.ABC):
     """
 
     name: ClassVar[str]
+    acts_on_actor: ClassVar[bool] = False
+    acts_on_critics: ClassVar[bool] = False
     weight: float
 
     def untrained_side(self, key: PRNGKeyArray, spec: Spec) -> PyTree:

@@ -27,6 +27,7 @@ class OODPessimism(Term):
     """Lower the critics where the policy acts and the ensemble disagrees (PBRL, RORL)."""
 
     name: ClassVar[str] = "ood"
+    acts_on_critics: ClassVar[bool] = True
 
     weight: float = 0.5
     """Weight in the critics' loss; 0 leaves the term out."""

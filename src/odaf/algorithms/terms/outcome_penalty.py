@@ -35,6 +35,7 @@ class OutcomePenalty(Term):
     """Worst-case disagreement of the critics at the predicted next state."""
 
     name: ClassVar[str] = "outcome"
+    acts_on_actor: ClassVar[bool] = True
 
     weight: float = 0.3
     """beta_odaf, the penalty's weight in the actor's loss; 0 leaves the term out."""
