@@ -160,6 +160,7 @@ def test_importing_changes_no_environment_variable():
 
 
 def test_public_names_are_listed_and_load():
+    assert set(odaf.__all__) == {*odaf._HOME_OF, "__version__"}
     assert set(odaf.__all__) <= set(dir(odaf))
     for name in odaf.__all__:
         assert getattr(odaf, name) is not None

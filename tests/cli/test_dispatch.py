@@ -176,3 +176,16 @@ def test_a_real_interrupt_reaches_the_exit_code():
     _, err = process.communicate(timeout=20)
     assert process.returncode == 130
     assert err == "\nodaf probe: stopped\n"
+
+
+@pytest.mark.parametrize("command", ["demo", "reproduce"])
+def test_long_commands_say_that_they_can_be_repeated(
+    command: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    def interrupted(*arguments, **options):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("odaf.experiments.demo.run", interrupted)
+    monkeypatch.setattr("odaf.experiments.pointmaze_study.run", interrupted)
+    assert main([command, *(["pointmaze"] if command == "reproduce" else [])]) == 130
+    assert "repeat the command to go on" in capsys.readouterr().err

@@ -6,6 +6,7 @@ from typing import Annotated
 
 import tyro
 
+from odaf.cli.interrupts import repeatable
 from odaf.cli.options import parse
 
 
@@ -18,6 +19,10 @@ class DemoOptions:
 
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("runs/demo")
     """Directory for data, runs, report.html and summary.json; the same command again goes on where it stopped."""
+    steps: int = 10_000
+    """Updates for each method."""
+    workers: Annotated[int | None, tyro.conf.arg(metavar="INT")] = None
+    """Methods trained at the same time; without it, one for each core."""
 
 
 def run(arguments: list[str]) -> None:
@@ -26,4 +31,5 @@ def run(arguments: list[str]) -> None:
 
     from odaf.experiments import demo
 
-    demo.run(options.out)
+    with repeatable():
+        demo.run(options.out, options.steps, options.workers)

@@ -1,4 +1,4 @@
-"""Ctrl-C during a run: the line that says how to go on."""
+"""Ctrl-C during a long command: the line that says how to go on."""
 
 import contextlib
 from collections.abc import Iterator
@@ -16,3 +16,12 @@ def resumable(directory: Path) -> Iterator[None]:
         else:
             hint = "nothing was trained yet; repeat the command to begin again"
         raise KeyboardInterrupt(hint) from None
+
+
+@contextlib.contextmanager
+def repeatable() -> Iterator[None]:
+    """Adds to an interruption that the same command goes on where it stopped."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt("repeat the command to go on where it stopped") from None

@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 
 import tyro
 
+from odaf.cli.interrupts import repeatable
 from odaf.cli.options import parse
 
 
@@ -32,4 +33,5 @@ def run(arguments: list[str]) -> None:
 
     from odaf.experiments import pointmaze_study
 
-    pointmaze_study.run(options.out or Path("results") / options.study, workers=options.workers)
+    with repeatable():
+        pointmaze_study.run(options.out or Path("results") / options.study, workers=options.workers)
