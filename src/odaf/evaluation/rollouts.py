@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -20,6 +20,7 @@ MOST_EPISODES = 100_000
 _NO_LIMIT = 100_000
 
 
+@runtime_checkable
 class Environment(Protocol):
     """The part of gymnasium's interface that is used; any object with these methods will do."""
 

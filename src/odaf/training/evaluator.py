@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 from odaf.training.policy import Policy
 
@@ -22,6 +22,7 @@ class Evaluation:
     headline: float
 
 
+@runtime_checkable
 class Evaluator(Protocol):
     """Measures a policy between two stretches of training.
 

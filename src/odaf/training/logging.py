@@ -4,12 +4,13 @@ import json
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 from odaf.errors import CheckpointError
 from odaf.training.files import finite, sync_file, write_atomically
 
 
+@runtime_checkable
 class Logger(Protocol):
     """Receives one flat record of numbers at a time. A tracker is adapted by writing these three methods."""
 

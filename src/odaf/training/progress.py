@@ -2,12 +2,13 @@
 
 import sys
 import time
-from typing import Protocol, TextIO
+from typing import Protocol, runtime_checkable
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 
+@runtime_checkable
 class ProgressReport(Protocol):
     """Hears how far a stage has come. Stages follow one another; `close` ends the last."""
 
@@ -78,10 +79,19 @@ class Bar:
             self._progress = None
 
 
+@runtime_checkable
+class Stream(Protocol):
+    """What lines can be written to: an open text file, or standard error."""
+
+    def write(self, text: str, /) -> object: ...
+
+    def flush(self) -> object: ...
+
+
 class Lines:
     """Plain lines for logs and pipes: at most one every `interval` seconds, and one at the end of a stage."""
 
-    def __init__(self, stream: TextIO, interval: float = 10.0):
+    def __init__(self, stream: Stream, interval: float = 10.0):
         self._stream = stream
         self._interval = interval
         self._stage: str | None = None
@@ -109,7 +119,8 @@ class Lines:
         self._stage = None
 
     def _write(self, line: str) -> None:
-        print(line, file=self._stream, flush=True)
+        self._stream.write(line + "\n")
+        self._stream.flush()
 
 
 class _Rate:

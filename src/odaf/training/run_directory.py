@@ -9,14 +9,15 @@
 Paths inside the files stand as the user gave them.
 """
 
+import contextlib
 import datetime
+import functools
 import importlib.metadata
 import os
 import platform
 import shutil
 import sys
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -55,7 +56,7 @@ class RunDirectory:
 
     path: Path
 
-    @cached_property
+    @functools.cached_property
     def config(self) -> dict[str, Any]:
         """`config.json`, checked for its format.
 
@@ -74,12 +75,12 @@ class RunDirectory:
                 raise CheckpointError(f"{path}: {field}: is missing, so the file was changed. {_NO_RUN}")
         return config
 
-    @cached_property
+    @functools.cached_property
     def data(self) -> dict[str, Any]:
         """`data.json`."""
         return read_json(self.path / "data.json", _NO_RUN)
 
-    @cached_property
+    @functools.cached_property
     def algorithm(self) -> Algorithm:
         """The learner, rebuilt from its resolved settings."""
         try:
@@ -87,12 +88,12 @@ class RunDirectory:
         except ConfigError as error:
             raise CheckpointError(f"{self.path / 'config.json'}: algorithm: {error}") from None
 
-    @cached_property
+    @functools.cached_property
     def spec(self) -> Spec:
         """Sizes, bounds and reward range of the training data."""
         return Spec.from_dict(self.data["spec"])
 
-    @cached_property
+    @functools.cached_property
     def normaliser(self) -> Normaliser:
         """The map of observations fitted on the training data."""
         return Normaliser.from_dict(self.data["normaliser"])
@@ -162,7 +163,8 @@ def blank_state(algorithm: Algorithm, spec: Spec) -> Any:
     """The structure of a learner's state, with shapes in place of arrays."""
 
     def build(key):
-        return algorithm.init(key, spec, algorithm.untrained_side(key, spec))
+        key_side, key_init = jr.split(key)
+        return algorithm.init(key_init, spec, algorithm.untrained_side(key_side, spec))
 
     return eqx.filter_eval_shape(build, jr.key(0))
 
@@ -285,18 +287,21 @@ def changes(before: dict[str, Any], now: dict[str, Any]) -> str:
     return ", ".join(f"{name} was {old.get(name)}, is {new.get(name)}" for name in different)
 
 
-def process_record() -> dict[str, Any]:
-    """What this process is: versions, device, platform, command, and when it began."""
+@functools.cache
+def _versions() -> dict[str, str]:
     versions = {}
     for package in _PACKAGES:
-        try:
+        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
             versions[package] = importlib.metadata.version(package)
-        except importlib.metadata.PackageNotFoundError:
-            continue
+    return versions
+
+
+def process_record() -> dict[str, Any]:
+    """What this process is: versions, device, platform, command, and when it began."""
     device = jax.devices()[0]
     return {
         "python": platform.python_version(),
-        "versions": versions,
+        "versions": _versions(),
         "device": f"{device.platform}: {device.device_kind} x {jax.device_count()}",
         "platform": platform.platform(),
         "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),

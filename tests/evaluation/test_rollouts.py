@@ -1,0 +1,186 @@
+"""Rollouts in environments with known answers."""
+
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from odaf.data.normalisation import Normaliser
+from odaf.data.spec import Spec
+from odaf.errors import ConfigError
+from odaf.evaluation import Episodes, RolloutEvaluator, Rollouts, rollout
+from odaf.evaluation.rollouts import EVALUATION_SEED_OFFSET, summarise
+from odaf.training.policy import Policy
+
+
+class Countdown:
+    """Lasts as many steps as its seed says (3 + seed % 5); pays its step number; obs is [seed digit, steps so far]."""
+
+    made, closed = 0, 0
+
+    def __init__(self, endless=False):
+        Countdown.made += 1
+        self.endless = endless
+
+    def reset(self, *, seed=None):
+        assert seed is not None
+        self.seed, self.steps = seed, 0
+        self.length = 3 + seed % 5
+        return self._observation(), {}
+
+    def step(self, action):
+        assert self.steps < self.length or self.endless, "stepped after the end"
+        self.steps += 1
+        self.action = np.asarray(action)
+        done = self.steps == self.length and not self.endless
+        info = {"success": self.length > 5, "stitched": np.bool_(self.length == 4), "length": self.length}
+        return (
+            self._observation(),
+            float(self.steps),
+            done and self.length % 2 == 0,
+            done and self.length % 2 == 1,
+            info,
+        )
+
+    def close(self):
+        Countdown.closed += 1
+
+    def _observation(self):
+        return np.array([self.seed % 5, self.steps], np.float64)
+
+
+def _constant(rows):
+    return np.zeros((len(rows), 1), np.float32)
+
+
+def test_each_environment_plays_one_whole_episode_and_no_more():
+    Countdown.made = Countdown.closed = 0
+    found = rollout(_constant, Countdown, 7)
+    lengths = np.array([3, 4, 5, 6, 7, 3, 4])
+    np.testing.assert_array_equal(found.lengths, lengths)
+    np.testing.assert_array_equal(found.returns, lengths * (lengths + 1) / 2)
+    assert found.observations.shape == (7, 8, 2) and found.rewards.shape == (7, 7)
+    for row, length in enumerate(lengths):
+        np.testing.assert_array_equal(found.observations[row, : length + 1, 1], np.arange(length + 1))
+        assert np.isnan(found.observations[row, length + 1 :]).all() and np.isnan(found.rewards[row, length:]).all()
+        np.testing.assert_array_equal(found.rewards[row, :length], np.arange(1, length + 1))
+    assert set(found.flags) == {"success", "stitched"}  # booleans only
+    np.testing.assert_array_equal(found.flags["success"], lengths > 5)
+    np.testing.assert_array_equal(found.flags["stitched"], lengths == 4)
+    assert Countdown.made == Countdown.closed == 7
+
+
+def test_policy_is_asked_once_a_step_for_all_rows_and_gets_what_it_sees():
+    asked = []
+
+    def policy(rows):
+        asked.append(rows.copy())
+        return rows[:, :1].astype(np.float32)
+
+    rollout(policy, Countdown, 6)
+    assert len(asked) == 7 and all(rows.shape == (6, 2) and np.isfinite(rows).all() for rows in asked)
+
+
+def test_evaluation_seeds_are_fixed_distinct_and_far_from_data_seeds():
+    seeds = {}
+
+    class Recorder(Countdown):
+        def reset(self, *, seed=None):
+            seeds.setdefault(current, []).append(seed)
+            return super().reset(seed=seed)
+
+    for current in (0, 1, 9999):
+        rollout(_constant, Recorder, 5, seed=current)
+    everything = [seed for group in seeds.values() for seed in group]
+    assert len(set(everything)) == 15 and min(everything) == EVALUATION_SEED_OFFSET == 1_000_000
+    assert max(everything) < 2**31  # what environments accept as a seed
+
+
+def test_max_steps_cuts_and_endless_environments_are_refused(monkeypatch):
+    found = rollout(_constant, lambda: Countdown(endless=True), 2, max_steps=11)
+    np.testing.assert_array_equal(found.lengths, [11, 11])
+    monkeypatch.setattr("odaf.evaluation.rollouts._NO_LIMIT", 50)
+    with pytest.raises(ConfigError, match="max_steps"):
+        rollout(_constant, lambda: Countdown(endless=True), 2)
+
+
+@pytest.mark.parametrize(
+    ("changes", "named"),
+    [({"episodes": 0}, "episodes"), ({"every": 0}, "every"), ({"seed": -1}, "seed"), ({"max_steps": 0}, "max_steps")],
+)
+def test_numbers_out_of_range_are_named(changes, named):
+    with pytest.raises(ConfigError, match=named):
+        Rollouts(**changes)
+
+
+def test_rollouts_resolve_their_environment():
+    own = {"name": "pointmaze", "maze": {}}
+    assert Rollouts().resolved(own).environment == own
+    hopper = {"name": "gymnasium", "id": "Hopper-v4", "kwargs": {}}
+    resolved = Rollouts("Hopper-v4", episodes=3, max_steps=9).resolved(own)
+    assert resolved.environment == hopper
+    assert Rollouts.from_dict(resolved.to_dict()) == resolved
+    with pytest.raises(ConfigError, match="names no environment"):
+        Rollouts().resolved(None)
+    with pytest.raises(ConfigError, match="kind"):
+        Rollouts.from_dict({"kind": "guess"})
+
+
+def test_summary_of_hand_worked_episodes():
+    episodes = Episodes(
+        observations=np.zeros((4, 2, 1), np.float32),
+        rewards=np.array([[1.0], [2.0], [3.0], [6.0]], np.float32),
+        lengths=np.ones(4, np.int64),
+        returns=np.array([1.0, 2.0, 3.0, 6.0]),
+        flags={"success": np.array([True, False, True, True])},
+    )
+    found = summarise(episodes)
+    assert found.headline == found.summary["mean_return"] == found.metrics["evaluation/return_mean"] == 3.0
+    assert found.metrics["evaluation/return_std"] == pytest.approx(np.sqrt((4 + 1 + 0 + 9) / 4))
+    assert found.metrics["evaluation/success_rate"] == found.summary["success_rate"] == 0.75
+    assert found.summary["returns"] == [1.0, 2.0, 3.0, 6.0] and found.summary["episodes"] == 4
+    assert "stitched_rate" not in found.summary  # the environment did not report it
+
+
+def _traced_learner(traces):
+    # A learner without training: acts on the first observation, and notes every trace of its act.
+    from odaf.algorithms.behaviour_cloning import BehaviourCloning
+
+    class Traced(BehaviourCloning):
+        def act(self, state: Any, observations):
+            traces.append(observations.shape)
+            return jnp.tanh(observations[:, :1] * state["gain"])
+
+    return Traced()
+
+
+def test_policy_is_compiled_once_for_all_steps_checkpoints_and_seeds(tmp_path):
+    traces = []
+    learner = _traced_learner(traces)
+    spec = Spec(2, 1, (-2.0,), (6.0,), 0.0, 1.0, False, 7)
+    evaluator = RolloutEvaluator(Rollouts(episodes=5), Countdown)
+    Countdown.made = Countdown.closed = 0
+    for step, gain in enumerate((0.5, 1.5, 2.5)):
+        policy = Policy(learner, spec, Normaliser.identity(2), {"gain": jnp.asarray(gain)}, ("digit", "steps"))
+        evaluator(policy, tmp_path, step)
+    assert traces == [(5, 2)]
+    assert Countdown.made == 5 and Countdown.closed == 0  # environments are reused
+    evaluator.close()
+    assert Countdown.closed == 5
+
+
+def test_evaluations_are_deterministic_and_saved_whole(tmp_path):
+    spec = Spec(2, 1, (-2.0,), (6.0,), 0.0, 1.0, False, 7)
+    policy = Policy(_traced_learner([]), spec, Normaliser.identity(2), {"gain": jnp.asarray(0.5)}, ("digit", "steps"))
+    evaluator = RolloutEvaluator(Rollouts(episodes=6, seed=2), Countdown)
+    first, second = evaluator(policy, tmp_path, 10), evaluator(policy, tmp_path, 20)
+    assert first == second
+    fresh = rollout(policy, Countdown, 6, seed=2)
+    for step in (10, 20):
+        with np.load(tmp_path / "evaluations" / f"{step:08d}.npz", allow_pickle=False) as saved:
+            assert set(saved) == {"observations", "rewards", "lengths", "returns", "success", "stitched"}
+            for name in ("observations", "rewards", "lengths", "returns"):
+                np.testing.assert_array_equal(saved[name], getattr(fresh, name))
+            np.testing.assert_array_equal(saved["success"], fresh.flags["success"])
+            assert saved["observations"].dtype == np.float32

@@ -1,0 +1,41 @@
+"""Scores of a run's seeds."""
+
+import math
+
+import pytest
+
+from odaf.errors import CheckpointError
+from odaf.evaluation.scores import scores_from
+
+
+def _summary(mean, step=10, **rates):
+    evaluation = {"step": step, "mean_return": mean, "std_return": 1.0, "episodes": 2, "returns": [mean - 1, mean + 1]}
+    return {"status": "finished", "evaluation": {**evaluation, **rates}}
+
+
+def test_scores_over_four_seeds_by_hand():
+    summaries = {seed: _summary(mean, success_rate=rate) for seed, mean, rate in _ROWS}
+    scores = scores_from(summaries, "runs/a")
+    assert scores.mean == 122.0 and scores.std == pytest.approx(4.320494, abs=1e-6)
+    assert scores.estimate().low == pytest.approx(115.125131, abs=1e-4)
+    assert scores.rate("success_rate") == pytest.approx(0.8) and scores.rate("stitched_rate") is None
+    assert scores.by_seed[1].returns == (121.0, 123.0)
+    assert scores.to_dict()["seeds"]["3"] == {"step": 10, "mean_return": 128.0}
+    assert str(scores).startswith("return 122.0 ± 4.3")
+
+
+_ROWS = [(0, 118.0, 1.0), (1, 122.0, 0.8), (2, 120.0, 0.6), (3, 128.0, 0.8)]
+
+
+def test_one_seed_gives_a_mean_and_no_interval():
+    scores = scores_from({4: _summary(7.0)}, "runs/a")
+    assert scores.mean == 7.0 and math.isnan(scores.std)
+
+
+def test_seed_without_evaluation_is_named():
+    with pytest.raises(CheckpointError, match=r"runs/a: no evaluation of seeds 1, 2 yet"):
+        scores_from({0: _summary(1.0), 1: {"evaluation": None}, 2: {}}, "runs/a")
+
+
+def test_rate_that_one_seed_lacks_is_not_averaged_over_the_others():
+    assert scores_from({0: _summary(1.0, success_rate=1.0), 1: _summary(1.0)}, "a").rate("success_rate") is None
