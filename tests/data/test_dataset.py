@@ -144,7 +144,10 @@ WRONG = {
     "strings": ({"actions": [["a"]] * 5}, "'actions' holds <U1 values, not real numbers; convert"),
     "objects": ({"rewards": np.array([1, None, 3, 4, 5], object)}, "'rewards' holds object values"),
     "ragged": ({"observations": [[1.0], [1.0, 2.0]]}, "'observations' is not a rectangular array"),
-    "flat": ({"actions": np.zeros(5)}, r"'actions' must be \[rows, dimensions\], got shape \(5,\); pass actions\[:, None"),
+    "flat": (
+        {"actions": np.zeros(5)},
+        r"'actions' must be \[rows, dimensions\], got shape \(5,\); pass actions\[:, None",
+    ),
     "images": ({"observations": np.zeros((5, 2, 2))}, r"'observations' must be .* \(5, 2, 2\); flatten each row"),
     "no columns": ({"actions": np.zeros((5, 0))}, "'actions' has no columns"),
     "wide rewards": ({"rewards": np.zeros((5, 2))}, r"'rewards' must be \[rows\], one value per step"),
@@ -159,7 +162,10 @@ WRONG = {
         {"observations": np.where(np.arange(10).reshape(5, 2) == 7, np.nan, 0.0)},
         r"'observations' holds NaN or infinity in row 3 of 5 \(columns \[1\]\)",
     ),
-    "too large": ({"rewards": [1.0, 1e300, 3.0, 4.0, 5.0]}, "'rewards' is too large for single precision in row 1 of 5"),
+    "too large": (
+        {"rewards": [1.0, 1e300, 3.0, 4.0, 5.0]},
+        "'rewards' is too large for single precision in row 1 of 5",
+    ),
     "next width": ({"next_observations": np.zeros((5, 3))}, "'next_observations' has 3 columns, 'observations' has 2"),
     "odd flag": ({"terminated": [0, 0, 2, 0, 1]}, "'terminated' must hold only true and false.*row 2 of 5: "),
     "beyond": (
@@ -264,7 +270,9 @@ def test_no_transition_crosses_an_episode(log, with_successors):
 @given(logs().filter(lambda log: len(log) > 1), st.floats(0.05, 0.95), st.integers(0, 5))
 def test_split_partitions_whole_episodes(log, holdout, seed):
     lengths = [length for length, _ in log]
-    observations = np.concatenate([100.0 * number + np.arange(length) for number, length in enumerate(lengths)])[:, None]
+    observations = np.concatenate([100.0 * number + np.arange(length) for number, length in enumerate(lengths)])[
+        :, None
+    ]
     dataset = Dataset.from_arrays(
         observations,
         np.zeros_like(observations),
@@ -285,7 +293,7 @@ def test_split_partitions_whole_episodes(log, holdout, seed):
 
 def test_split_refuses_what_it_cannot_do():
     dataset = Dataset.from_arrays(**five_rows())
-    with pytest.raises(DatasetError, match="holdout is 1.0; give a share between 0 and 1"):
+    with pytest.raises(DatasetError, match=r"holdout is 1\.0; give a share between 0 and 1"):
         dataset.split(1.0)
     with pytest.raises(DatasetError, match="one episode cannot be split"):
         dataset.select([1]).split()

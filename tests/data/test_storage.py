@@ -2,6 +2,7 @@
 
 import json
 import os
+from typing import Any
 
 import h5py
 import numpy as np
@@ -99,7 +100,17 @@ def test_fingerprint_is_that_of_the_documented_bytes():
     dataset = small()
     digest = hashlib.sha256()
     for name, kind in zip(
-        "observations actions rewards next_observations terminated truncated episode_starts action_low action_high".split(),
+        [
+            "observations",
+            "actions",
+            "rewards",
+            "next_observations",
+            "terminated",
+            "truncated",
+            "episode_starts",
+            "action_low",
+            "action_high",
+        ],
         ["<f4"] * 4 + ["|b1"] * 2 + ["<i8"] + ["<f4"] * 2,
         strict=True,
     ):
@@ -188,7 +199,10 @@ EDITS = {
     "text": (replace("rewards", np.array([b"x"] * 12)), r"field 'rewards' holds \|S1, expected float32"),
     "shape": (replace("actions", np.zeros(12, np.float32)), r"field 'actions' has shape \(12,\), expected 2 axes"),
     "length": (replace("rewards", np.zeros(11, np.float32)), "field 'rewards' has 11 rows, 'observations' has 12"),
-    "group": (lambda file: (file.__delitem__("rewards"), file.create_group("rewards")), "'rewards' is a group, expected"),
+    "group": (
+        lambda file: (file.__delitem__("rewards"), file.create_group("rewards")),
+        "'rewards' is a group, expected",
+    ),
     "nothing": (replace("rewards", h5py.Empty("f4")), "field 'rewards' is empty"),
     "soft link": (replace("rewards", h5py.SoftLink("/actions")), "field 'rewards' is a link to another place"),
     "other file": (replace("rewards", h5py.ExternalLink("x.h5", "/a")), "field 'rewards' is a link to another place"),
@@ -217,12 +231,21 @@ SEALED = {
         replace("rewards", np.where(np.arange(12) > 9, np.nan, 0).astype(np.float32)),
         "field 'rewards' holds NaN or infinity in 2 of 12 rows, the first of them 10, 11",
     ),
-    "beyond": (replace("actions", np.full((12, 2), 2, np.float32)), "field 'actions' leaves its bounds in 12 of 12 rows"),
+    "beyond": (
+        replace("actions", np.full((12, 2), 2, np.float32)),
+        "field 'actions' leaves its bounds in 12 of 12 rows",
+    ),
     "width": (replace("next_observations", np.zeros((12, 2), np.float32)), "'next_observations' has 2 columns"),
     "starts": (replace("episode_starts", np.array([0, 40])), "field 'episode_starts' names row 40"),
-    "ends": (replace("episode_starts", np.array([0, 7])), "disagree: an episode end is marked inside an episode, row 5"),
+    "ends": (
+        replace("episode_starts", np.array([0, 7])),
+        "disagree: an episode end is marked inside an episode, row 5",
+    ),
     "not JSON": (replace("metadata", "{"), "field 'metadata' cannot be read"),
-    "names": (replace("metadata", '{"provenance": {}}'), "field 'metadata' cannot be read .KeyError: 'observation_names'"),
+    "names": (
+        replace("metadata", '{"provenance": {}}'),
+        "field 'metadata' cannot be read .KeyError: 'observation_names'",
+    ),
 }
 
 
@@ -265,7 +288,8 @@ def test_damage_anywhere_is_noticed_or_harmless(path):
 
 
 def test_options_of_the_other_layout_are_refused(path):
-    for options in ({"max_episode_steps": 10}, {"action_bounds": (-1, 1)}, {"d4rl_compat": True}):
+    choices: list[dict[str, Any]] = [{"max_episode_steps": 10}, {"action_bounds": (-1, 1)}, {"d4rl_compat": True}]
+    for options in choices:
         with pytest.raises(DatasetError, match=f"{next(iter(options))} applies to files in the D4RL layout"):
             Dataset.load(path, **options)
 

@@ -36,12 +36,7 @@ class Maze:
 
     def __post_init__(self):
         title = f"maze '{self.name}'"
-        object.__setattr__(self, "rows", tuple(self.rows))
-        object.__setattr__(self, "start", as_cell(title, "start", self.start))
-        object.__setattr__(self, "goal", as_cell(title, "goal", self.goal))
-        object.__setattr__(self, "avoid", tuple(as_cell(title, "avoid", cell) for cell in self.avoid))
-        strings = all(isinstance(row, str) for row in self.rows)
-        widths = {len(row) for row in self.rows} if strings else set()
+        widths = {len(row) for row in self.rows}
         if len(widths) != 1 or widths == {0} or set("".join(self.rows)) - {"0", "1"}:
             raise ConfigError(
                 f"{title}: rows must be equally long strings of '1' (wall) and '0' (free); got {self.rows}"
@@ -110,12 +105,18 @@ class Maze:
         if missing or unknown:
             raise ConfigError(f"maze: missing fields {sorted(missing)}, unknown fields {sorted(unknown)}")
         name = str(fields.get("name", "custom"))
+        title = f"maze '{name}'"
+        rows, avoid = fields["rows"], fields.get("avoid", ())
+        if not isinstance(rows, (list, tuple)) or not all(isinstance(row, str) for row in rows):
+            raise ConfigError(f"{title}: rows must be a list of strings such as '1001'; got {rows!r}")
+        if not isinstance(avoid, (list, tuple)):
+            raise ConfigError(f"{title}: avoid must be a list of cells (row, column); got {avoid!r}")
         return cls(
             name=name,
-            rows=tuple(fields["rows"]),
-            start=as_cell(f"maze '{name}'", "start", fields["start"]),
-            goal=as_cell(f"maze '{name}'", "goal", fields["goal"]),
-            avoid=tuple(as_cell(f"maze '{name}'", "avoid", cell) for cell in fields.get("avoid", ())),
+            rows=tuple(rows),
+            start=as_cell(title, "start", fields["start"]),
+            goal=as_cell(title, "goal", fields["goal"]),
+            avoid=tuple(as_cell(title, "avoid", cell) for cell in avoid),
         )
 
 

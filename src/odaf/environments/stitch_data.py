@@ -10,7 +10,6 @@ Differs from the original: all 200 transitions of an episode are kept, since the
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
@@ -18,12 +17,14 @@ import numpy as np
 
 from odaf.data.dataset import Dataset
 from odaf.environments.controller import WaypointController
-from odaf.environments.maze import CROSSROADS, STITCH, Cell, Maze, as_cell
+from odaf.environments.maze import Cell, Maze
 from odaf.environments.registry import point_maze
-from odaf.errors import ConfigError
+from odaf.environments.stitch_config import CONFIGS, Route, StitchConfig
 
 if TYPE_CHECKING:
     from odaf.environments.point_maze import PointMaze
+
+__all__ = ["CONFIGS", "Route", "StitchConfig", "direct_controller_return", "generate"]
 
 GOAL_NOISE = 0.25  # a driver's goal is a cell's centre plus U(-0.25, 0.25) in x and y
 REACHED_DISTANCE = 0.5
@@ -31,156 +32,7 @@ REACHED_SPEED = 0.5
 ENVIRONMENT_SEEDS = 1000  # episodes start from a seed below this, so start and target noise repeat
 
 
-@dataclass(frozen=True)
-class Route:
-    """One kind of episode.
-
-    Attributes:
-        name: how statistics call it.
-        goals: cells to drive to, in order.
-        repeats: episodes of this kind.
-        after: once the last goal is reached, "hold" keeps steering to it, "random" draws uniform actions.
-        start: cell to begin in; None is the maze's start.
-    """
-
-    name: str
-    goals: tuple[Cell, ...]
-    repeats: int
-    after: str = "hold"
-    start: Cell | None = None
-
-    def __post_init__(self):
-        title = f"route '{self.name}'"
-        object.__setattr__(self, "goals", tuple(as_cell(title, "goals", cell) for cell in self.goals))
-        if self.start is not None:
-            object.__setattr__(self, "start", as_cell(title, "start", self.start))
-        if not self.goals:
-            raise ConfigError(f"{title}: goals is empty; name at least one cell to drive to")
-        if self.repeats < 0:
-            raise ConfigError(f"{title}: repeats is {self.repeats}; give 0 or more episodes")
-        if self.after not in ("hold", "random"):
-            raise ConfigError(f"{title}: after is {self.after!r}; known are 'hold' and 'random'")
-
-
-@dataclass(frozen=True)
-class StitchConfig:
-    """What to log: a maze, the kinds of episodes driven in it, and the figures the result must show.
-
-    Attributes:
-        maze: the map with start, goal and the detour's cells.
-        routes: kinds of episodes, logged in this order.
-        steps: length of every episode.
-        accept: (figure, lowest, highest) the log must satisfy; none checks nothing. Figures are undiscounted episode
-            returns: "mean" and "best" of the whole log, "NAME/mean" and "NAME/best" of the route NAME.
-    """
-
-    maze: Maze
-    routes: tuple[Route, ...]
-    steps: int = 200
-    accept: tuple[tuple[str, float, float], ...] = ()
-
-    def __post_init__(self):
-        object.__setattr__(self, "routes", tuple(self.routes))
-        object.__setattr__(
-            self, "accept", tuple((str(name), float(low), float(high)) for name, low, high in self.accept)
-        )
-        title = f"stitching data for maze '{self.maze.name}'"
-        if self.steps < 1:
-            raise ConfigError(f"{title}: steps is {self.steps}; give the length of an episode, 1 or more")
-        if sum(route.repeats for route in self.routes) < 1:
-            raise ConfigError(f"{title}: the routes ask for no episode at all; give one of them repeats of 1 or more")
-        names = [route.name for route in self.routes]
-        if len(set(names)) != len(names):
-            raise ConfigError(f"{title}: route names must differ; got {names}")
-        for route in self.routes:
-            here = self.maze.start if route.start is None else route.start
-            for cell in (here, *route.goals):
-                if not self.maze.is_free(cell):
-                    raise ConfigError(
-                        f"{title}: route '{route.name}' visits {cell}, a wall or outside {self.maze.rows}"
-                    )
-                self.maze.path(here, cell)
-        known = {"mean", "best", *(f"{name}/{figure}" for name in names for figure in ("mean", "best"))}
-        for name, _, _ in self.accept:
-            if name not in known:
-                raise ConfigError(f"{title}: accept names '{name}'; known are {sorted(known)}")
-
-    def with_repeats(self, repeats: int) -> "StitchConfig":
-        """The same routes, each logged `repeats` times; without `accept`, whose limits belong to the full size."""
-        return replace(self, routes=tuple(replace(route, repeats=repeats) for route in self.routes), accept=())
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain JSON types; `from_dict` restores an equal configuration."""
-        return {
-            "maze": self.maze.to_dict(),
-            "routes": [
-                {
-                    "name": route.name,
-                    "goals": [list(cell) for cell in route.goals],
-                    "repeats": route.repeats,
-                    "after": route.after,
-                    "start": None if route.start is None else list(route.start),
-                }
-                for route in self.routes
-            ],
-            "steps": self.steps,
-            "accept": [list(check) for check in self.accept],
-        }
-
-    @classmethod
-    def from_dict(cls, fields: Mapping[str, Any]) -> "StitchConfig":
-        """Inverse of `to_dict`; `ConfigError` names fields that are missing or unknown."""
-        _check_fields("stitching data", fields, required={"maze", "routes"}, optional={"steps", "accept"})
-        for route in fields["routes"]:
-            _check_fields("route", route, required={"name", "goals", "repeats"}, optional={"after", "start"})
-        return cls(
-            **{**fields, "maze": Maze.from_dict(fields["maze"]), "routes": tuple(Route(**r) for r in fields["routes"])}
-        )
-
-
-# The paper's task: (2, 2) is the junction, (1, 1) and (2, 1) are the detour.
-_PAPER = StitchConfig(
-    maze=STITCH,
-    routes=(
-        Route("junction-1", goals=((2, 2),), repeats=250),
-        Route("junction-2", goals=((2, 2),), repeats=250),
-        Route("detour-hold", goals=((1, 1), (2, 1), (2, 4)), repeats=250),
-        Route("detour-random", goals=((1, 1), (2, 1), (2, 4)), repeats=250, after="random"),
-    ),
-    accept=(
-        ("mean", 40.2, 41.2),
-        ("best", 70.0, 75.0),
-        ("junction-1/best", 0.0, 36.0),
-        ("junction-2/best", 0.0, 36.0),
-        ("detour-hold/mean", 51.0, 59.0),
-        ("detour-random/mean", 51.0, 59.0),
-    ),
-)
-
-# One more turn to find, and a detour twice as long as the direct way: nobody logged south to east.
-_CROSSROADS = StitchConfig(
-    maze=CROSSROADS,
-    routes=(
-        Route("south-to-north", goals=((1, 3),), repeats=250),
-        Route("south-to-crossing", goals=((3, 3),), repeats=250),
-        Route("detour-hold", goals=((5, 1), (3, 1), (3, 5)), repeats=250),
-        Route("detour-random", goals=((5, 1), (3, 1), (3, 5)), repeats=250, after="random"),
-    ),
-    steps=260,
-    accept=(
-        ("mean", 33.5, 35.3),
-        ("best", 57.0, 68.0),
-        ("south-to-north/best", 0.0, 36.0),
-        ("south-to-crossing/best", 0.0, 56.0),
-        ("detour-hold/mean", 41.5, 46.0),
-        ("detour-random/mean", 39.0, 43.5),
-    ),
-)
-
-CONFIGS: Mapping[str, StitchConfig] = {config.maze.name: config for config in (_PAPER, _CROSSROADS)}
-
-
-def generate(config: StitchConfig = _PAPER, seed: int = 0) -> Dataset:
+def generate(config: StitchConfig = CONFIGS["stitch"], seed: int = 0) -> Dataset:
     """Drives every route of `config` and logs it; one seed gives the same bits on the same machine and versions.
 
     `provenance` of the result holds the configuration, the seed, the simulator's versions, the environment's
@@ -229,7 +81,7 @@ def generate(config: StitchConfig = _PAPER, seed: int = 0) -> Dataset:
 
 
 def direct_controller_return(
-    config: StitchConfig = _PAPER, episodes: int = 50, seed: int = 0, knows_target: bool = True
+    config: StitchConfig = CONFIGS["stitch"], episodes: int = 50, seed: int = 0, knows_target: bool = True
 ) -> np.ndarray:
     """[episodes] returns of the scripted driver sent from the start straight to the goal, where it stays.
 
@@ -319,9 +171,3 @@ def _acceptance_findings(acceptance: Mapping[str, Any]) -> list[dict[str, Any]]:
         for check in acceptance["checks"]
         if not check["passed"]
     ]
-
-
-def _check_fields(what: str, fields: Mapping[str, Any], required: set[str], optional: set[str]) -> None:
-    missing, unknown = required - set(fields), set(fields) - required - optional
-    if missing or unknown:
-        raise ConfigError(f"{what}: missing fields {sorted(missing)}, unknown fields {sorted(unknown)}")

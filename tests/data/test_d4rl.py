@@ -1,0 +1,232 @@
+"""Files in the D4RL layout, written here by hand in the variants that exist, and rows compared with D4RL's own rule."""
+
+import h5py
+import numpy as np
+import pytest
+
+from odaf.data import Dataset
+from odaf.errors import DatasetError
+
+ROWS = 12
+
+
+def columns():
+    """Episode one falls in row 4; episode two times out in row 8; the collector stopped after row 11."""
+    rng = np.random.default_rng(1)
+    observations = np.arange(ROWS, dtype=np.float32)[:, None] * [1, 10]
+    return {
+        "observations": observations.astype(np.float32),
+        "actions": rng.uniform(-1, 1, (ROWS, 3)).astype(np.float32),
+        "next_observations": (observations + np.array([0.5, 5])).astype(np.float32),  # unlike the shifted rows, on purpose
+        "rewards": rng.normal(size=ROWS).astype(np.float32),
+        "terminals": np.arange(ROWS) == 4,
+        "timeouts": np.arange(ROWS) == 8,
+    }
+
+
+@pytest.fixture
+def write(tmp_path):
+    def write(without=(), **changes):
+        path = tmp_path / "hopper.hdf5"
+        with h5py.File(path, "w") as file:
+            for name, values in {**columns(), **changes}.items():
+                if name not in without:
+                    file[name] = values
+        return path
+
+    return write
+
+
+def findings(dataset):
+    return {finding["finding"]: finding["count"] for finding in dataset.provenance["findings"]}
+
+
+def qlearning_rows(data, limit=0):
+    """Rows of D4RL's `qlearning_dataset` by its description: (s, a, r, observation of the next row, terminal)."""
+    kept, step = [], 0
+    for row in range(len(data["rewards"]) - 1):
+        final = data["timeouts"][row] if "timeouts" in data else step == limit - 1
+        if final:
+            step = 0
+            continue
+        if data["terminals"][row]:
+            step = 0
+        kept.append(row)
+        step += 1
+    kept = np.array(kept)
+    return {
+        "observations": data["observations"][kept],
+        "actions": data["actions"][kept],
+        "rewards": data["rewards"][kept],
+        "next_observations": data["observations"][kept + 1],
+        "terminated": data["terminals"][kept],
+    }
+
+
+def assert_columns(dataset, expected):
+    for name, values in expected.items():
+        np.testing.assert_array_equal(getattr(dataset, name), values, err_msg=name)
+
+
+def test_stored_successors_are_used_and_no_row_is_lost(write):
+    dataset = Dataset.load(write())
+    expected = {name: values for name, values in columns().items() if name not in ("terminals", "timeouts")}
+    assert_columns(dataset, expected)
+    np.testing.assert_array_equal(np.flatnonzero(dataset.terminated), [4])
+    np.testing.assert_array_equal(np.flatnonzero(dataset.truncated), [8, 11])
+    np.testing.assert_array_equal(dataset.episode_starts, [0, 5, 9])
+    assert findings(dataset) == {"unfinished-episodes": 1, "successor-differs-from-next-row": 9}
+    assert dataset.provenance["format"] == "d4rl" and dataset.provenance["file"] == "hopper.hdf5"
+    assert dataset.environment is None
+    np.testing.assert_array_equal(dataset.action_low, [-1, -1, -1])
+
+
+def test_without_successors_the_shift_stays_inside_episodes(write):
+    dataset = Dataset.load(write(without=["next_observations"]))
+    np.testing.assert_array_equal(dataset.observations[:, 0], [0, 1, 2, 3, 4, 5, 6, 7, 9, 10])
+    np.testing.assert_array_equal(dataset.next_observations[:, 0], [1, 2, 3, 4, 4, 6, 7, 8, 10, 11])
+    assert findings(dataset) == {
+        "unfinished-episodes": 1,
+        "dropped-without-successor": 2,
+        "terminal-successor-unknown": 1,
+    }
+
+
+def test_file_without_timeouts_needs_the_time_limit(write):
+    path = write(without=["timeouts", "next_observations"])
+    with pytest.raises(DatasetError, match=r"hopper.hdf5: field 'timeouts' is missing .*; pass max_episode_steps="):
+        Dataset.load(path)
+    dataset = Dataset.load(path, max_episode_steps=4)
+    # Rows 0-3 time out, row 4 falls at once, rows 5-8 time out, 9-11 are unfinished; each cut loses its last row.
+    np.testing.assert_array_equal(dataset.observations[:, 0], [0, 1, 2, 4, 5, 6, 7, 9, 10])
+    np.testing.assert_array_equal(dataset.episode_starts, [0, 3, 4, 7])
+    np.testing.assert_array_equal(np.flatnonzero(dataset.terminated), [3])
+    with pytest.raises(DatasetError, match="max_episode_steps is 0; give the time limit"):
+        Dataset.load(path, max_episode_steps=0)
+
+
+def test_a_time_limit_reached_by_a_fall_is_a_fall(write):
+    dataset = Dataset.load(write(without=["timeouts"]), max_episode_steps=5)
+    np.testing.assert_array_equal(np.flatnonzero(dataset.terminated), [4])
+    np.testing.assert_array_equal(np.flatnonzero(dataset.truncated), [9, 11])
+
+
+def test_time_limit_beside_timeouts_is_refused(write):
+    with pytest.raises(DatasetError, match="max_episode_steps=1000 was given but the file has its own 'timeouts'"):
+        Dataset.load(write(), max_episode_steps=1000)
+
+
+def test_no_end_marked_anywhere(write):
+    path = write(terminals=np.zeros(ROWS, bool), timeouts=np.zeros(ROWS, bool))
+    with pytest.raises(DatasetError, match="'timeouts' is missing or marks nothing"):
+        Dataset.load(path)
+    assert Dataset.load(path, max_episode_steps=4).num_episodes == 3
+
+
+def test_terminal_and_timed_out_row_counts_as_terminal(write):
+    dataset = Dataset.load(write(timeouts=np.isin(np.arange(ROWS), [4, 8])))
+    assert dataset.terminated[4] and not dataset.truncated[4]
+    assert findings(dataset)["terminated-and-truncated"] == 1
+
+
+def test_time_limits_stored_as_terminals_are_suspected(write):
+    both = np.isin(np.arange(ROWS), [3, 7, 11])
+    assert findings(Dataset.load(write(terminals=both, timeouts=both)))["terminals-equal-timeouts"] == 3
+
+
+def test_double_precision_tall_rewards_and_numeric_flags(write):
+    original = columns()
+    path = write(
+        observations=original["observations"].astype(np.float64),
+        rewards=original["rewards"].astype(np.float64)[:, None],
+        terminals=original["terminals"].astype(np.float32),
+        timeouts=original["timeouts"].astype(np.uint8),
+    )
+    dataset = Dataset.load(path)
+    assert dataset.observations.dtype == np.float32
+    assert_columns(dataset, {"observations": original["observations"], "rewards": original["rewards"]})
+    np.testing.assert_array_equal(np.flatnonzero(dataset.terminated), [4])
+
+
+def test_infos_and_policy_weights_are_left_out_but_named(write):
+    extra = {"infos/qpos": np.zeros((ROWS, 6)), "metadata/policy/fc0/weight": np.zeros((4, 2))}
+    dataset = Dataset.load(write(**extra))
+    assert dataset.provenance["fields_not_read"] == ["infos/qpos", "metadata/policy/fc0/weight"]
+
+
+@pytest.mark.parametrize("both_in_row", [4, 6])
+def test_compatible_rows_with_timeouts(write, both_in_row):
+    """Row 6: a fall at the time limit, which D4RL drops. Row 4 marks the first episode's fall as one too."""
+    original = columns()
+    original["terminals"][both_in_row] = original["timeouts"][both_in_row] = True
+    path = write(**original)
+    dataset = Dataset.load(path, d4rl_compat=True)
+    assert_columns(dataset, qlearning_rows(original))
+    assert len(dataset) == ROWS - 1 - original["timeouts"].sum()
+    assert dataset.provenance["d4rl_compat"]
+
+
+@pytest.mark.parametrize("limit", [2, 3, 4, 5, 11])
+def test_compatible_rows_with_a_step_counter(write, limit):
+    path = write(without=["timeouts", "next_observations"])
+    original = columns()
+    del original["timeouts"]
+    dataset = Dataset.load(path, d4rl_compat=True, max_episode_steps=limit)
+    assert_columns(dataset, qlearning_rows(original, limit))
+
+
+def test_compatible_rows_by_hand(write):
+    dataset = Dataset.load(write(), d4rl_compat=True)
+    # Row 8 timed out, row 11 is the last of the file; the fall in row 4 is followed by another episode's row.
+    np.testing.assert_array_equal(dataset.observations[:, 0], [0, 1, 2, 3, 4, 5, 6, 7, 9, 10])
+    np.testing.assert_array_equal(dataset.next_observations[:, 0], [1, 2, 3, 4, 5, 6, 7, 8, 10, 11])
+    np.testing.assert_array_equal(dataset.episode_starts, [0, 5, 8])
+
+
+def test_nothing_left_in_compatible_mode(write):
+    path = write(**{name: values[:1] for name, values in columns().items()}, without=["timeouts"])
+    with pytest.raises(DatasetError, match="d4rl_compat drops all 1 rows"):
+        Dataset.load(path, d4rl_compat=True, max_episode_steps=3)
+
+
+def test_saved_again_in_our_own_format(write, tmp_path):
+    dataset = Dataset.load(write())
+    dataset.save(tmp_path / "own.h5")
+    assert Dataset.load(tmp_path / "own.h5").fingerprint() == dataset.fingerprint()
+
+
+WRONG = {
+    "missing": ({"without": ["rewards"]}, r"field 'rewards' is missing; the file has \['actions', 'next_observations'"),
+    "length": ({"actions": np.zeros((11, 3))}, "field 'actions' has 11 rows, 'observations' has 12"),
+    "nan": (
+        {"observations": np.full((ROWS, 2), np.nan)},
+        "field 'observations' holds NaN or infinity in 12 of 12 rows",
+    ),
+    "beyond": (
+        {"actions": np.full((ROWS, 3), 1.5)},
+        "field 'actions' leaves its bounds .* pass the true action_bounds",
+    ),
+    "flag": ({"terminals": np.arange(ROWS)}, "field 'terminals' must hold only true and false"),
+    "text": ({"rewards": np.array([b"1"] * ROWS)}, r"field 'rewards' holds \|S1 values"),
+    "minari": ({"episode_0/actions": np.zeros((3, 1))}, "one group per episode .*as Minari writes; concatenate"),
+    "group": ({"without": ["rewards"], "rewards/x": np.zeros(3)}, "field 'rewards' is a group, expected an array"),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_bad_file_names_field_rows_and_remedy(write, name):
+    changes, message = WRONG[name]
+    with pytest.raises(DatasetError, match=f"hopper.hdf5: .*({message})"):
+        Dataset.load(write(**changes))
+
+
+def test_wider_bounds_can_be_given(write):
+    dataset = Dataset.load(write(actions=np.full((ROWS, 3), 1.5)), action_bounds=(-2.0, 2.0))
+    np.testing.assert_array_equal(dataset.action_high, [2, 2, 2])
+
+
+def test_hdf5_without_any_known_field(tmp_path):
+    with h5py.File(tmp_path / "weights.h5", "w") as file:
+        file["kernel"] = np.zeros(3)
+    with pytest.raises(DatasetError, match=r"neither an odaf dataset .* nor in the D4RL layout .*\['kernel'\]"):
+        Dataset.load(tmp_path / "weights.h5")
