@@ -30,7 +30,7 @@ from odaf.algorithms.terms.base import Context, Term
 from odaf.components.critics import CriticEnsemble, init_critics
 from odaf.components.losses import ensemble_td_gradient, soft_actor_loss, temperature_loss
 from odaf.components.policies import GaussianActor, init_gaussian_actor
-from odaf.components.targets import bellman_target, copy_of, frozen, polyak, value_range
+from odaf.components.targets import bellman_target, copy_of, polyak, value_range
 from odaf.data.dataset import Dataset
 from odaf.data.normalisation import Normaliser
 from odaf.data.spec import Spec
@@ -199,7 +199,7 @@ class EnsembleSAC(Algorithm):
         noise = jr.normal(jr.fold_in(key, 0), batch.actions.shape)
         actions, log_density = actor.sample(batch.observations, noise)
         critics = state.critics if self.actor_critic == "online" else state.target_critics
-        values = jnp.min(frozen(critics)(batch.observations, actions), axis=0)
+        values = jnp.min(critics.as_constants(batch.observations, actions), axis=0)
         loss = soft_actor_loss(log_density, values, jnp.exp(state.log_temperature))
         metrics = {"actor/loss": loss, "actor/value": jnp.mean(values), "actor/entropy": -jnp.mean(log_density)}
         context = self._context(state, batch, actor=actor)

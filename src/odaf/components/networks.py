@@ -20,10 +20,10 @@ class MLP(eqx.Module):
     networks that one batched product evaluates together.
     """
 
-    weights: tuple[Float[Array, "*stack fan_in fan_out"], ...]
-    biases: tuple[Float[Array, "*stack fan_out"], ...]
-    scales: tuple[Float[Array, "*stack fan_out"], ...]  # empty without layer normalisation
-    offsets: tuple[Float[Array, "*stack fan_out"], ...]
+    weights: tuple[Float[Array, "*stack _fan_in _fan_out"], ...]
+    biases: tuple[Float[Array, "*stack _fan_out"], ...]
+    scales: tuple[Float[Array, "*stack _fan_out"], ...]  # empty without layer normalisation
+    offsets: tuple[Float[Array, "*stack _fan_out"], ...]
     activation: Literal["relu", "silu"] = eqx.field(static=True)
 
     def __call__(self, x: Float[Array, "*any rows fan_in"]) -> Float[Array, "*out rows fan_out"]:

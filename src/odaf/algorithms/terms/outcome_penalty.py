@@ -167,7 +167,9 @@ class OutcomePenalty(Term):
             next_action = next_actor.mode(outcome)
         if self.detach_next_action:
             next_action = jax.lax.stop_gradient(next_action)
-        return disagreement(context.critics(outcome, next_action), self.std_ddof)  # U = std_k Q_k(s^', a^')
+        return disagreement(
+            context.critics.as_constants(outcome, next_action), self.std_ddof
+        )  # U = std_k Q_k(s^', a^')
 
     @staticmethod
     def _draw_noise(side: DynamicsModel, rows: int, act_dim: int, key: PRNGKeyArray) -> Noise:
