@@ -7,7 +7,7 @@ from typing import Any
 from odaf.errors import ConfigError
 from odaf.experiments.report.extras import check_extra
 from odaf.experiments.report.quantities import Curve
-from odaf.experiments.report.records import find_runs, read_run
+from odaf.experiments.report.records import RunRecord, find_runs, read_run
 from odaf.experiments.report.scores import labels, score
 from odaf.training.files import write_atomically
 
@@ -42,6 +42,7 @@ def maze_figure(
     if len(headings) != len(runs):
         raise ConfigError(f"maze_figure: {len(headings)} names for {len(runs)} runs; give one name a run")
     figure = Figure(figsize=(3.6 * len(runs), 2.75 + (0.3 if title else 0)), layout="constrained", facecolor="white")
+    figure.supxlabel(_maze_legend(runs), fontsize=8, color=drawing.LIGHT.muted, parse_math=False)
     for place, (run, heading) in enumerate(zip(runs, headings, strict=True)):
         layout, learned = maze_layout(run.environment), paths.learned_paths(run)
         if layout is None or learned is None:
@@ -69,6 +70,7 @@ def learning_curves_figure(
     out: Path,
     references: Sequence[tuple[str, float]] = (),
     title: str | None = None,
+    note: str | None = None,
 ) -> Path:
     """Writes a PNG of mean return over updates, a line a method with the range over its seeds.
 
@@ -77,6 +79,7 @@ def learning_curves_figure(
         out: the file to write; its folder is made when missing.
         references: names and heights of horizontal lines, for example ("best logged", 72.6).
         title: written above.
+        note: written below in small print, for example where the data came from.
 
     Returns:
         `out`.
@@ -104,6 +107,8 @@ def learning_curves_figure(
         text.set_parse_math(False)
     if title:
         figure.suptitle(title, fontsize=12, parse_math=False)
+    if note:
+        figure.supxlabel(note, fontsize=7.5, color=drawing.LIGHT.muted, parse_math=False)
     return _write(figure, out)
 
 
@@ -116,6 +121,11 @@ def run_curves(run_directories: Sequence[Path]) -> tuple[list[Curve], list[tuple
 
     runs = [read_run(directory) for directory in find_runs(run_directories)]
     return charts.return_curves(runs, labels(runs)), charts.references(runs)
+
+
+def _maze_legend(runs: Sequence[RunRecord]) -> str:
+    parts = ["grey: logged episodes", "dotted: the best of them", "green: stitches", "purple, dashed: does not"]
+    return " · ".join(parts + sorted({run.origin for run in runs if run.origin}))
 
 
 def _write(figure: Any, out: Path) -> Path:

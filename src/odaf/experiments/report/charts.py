@@ -18,9 +18,11 @@ from odaf.training.monitors import value_bounds
 
 
 def references(runs: Sequence[RunRecord]) -> list[tuple[str, float]]:
-    """Best and mean of the logged returns, once for every dataset."""
+    """Best and mean of the logged returns, once for every dataset that has a score to compare with."""
     lines: dict[Any, list[tuple[str, float]]] = {}
     for run in runs:
+        if not run.evaluated:
+            continue
         known = [("best logged", run.data_best), ("logged mean", run.data_mean)]
         lines.setdefault(run.data.get("sha256"), [(name, value) for name, value in known if value is not None])
     return [line for group in lines.values() for line in group]
@@ -88,7 +90,7 @@ def returns_chart(runs: Sequence[RunRecord], scores: Sequence[Score]) -> Chart |
         rows.insert(0, Returns(f"the log ({logged.size:,} episodes)", logged, float(logged.mean()), None, None))
     svg = chart_svg(
         "returns", "Returns of logged and learned episodes", (WIDE, 0.6 + 0.6 * max(len(rows), 3)),
-        lambda axes: drawing.draw_returns(axes, THEMED, rows, references(runs)),
+        lambda axes: drawing.draw_returns(axes, THEMED, rows, references(runs)), margins=(0.02, 0.06, 0.42, 0.04),
     )  # fmt: skip
     bars = " Bar: 95 % interval over seeds." if any(row.interval is not None for row in rows) else ""
     return Chart("Where the returns lie", svg, f"Every episode at the last checkpoint. Dot: mean.{bars}")
@@ -198,10 +200,11 @@ def dynamics_checks(runs: Sequence[RunRecord], labels: Sequence[str]) -> list[Dy
         if model.size and model.size == nothing.size:
             svg = chart_svg(
                 f"dynamics-{index}", f"Hold-out error of the dynamics model of {label}",
-                (NARROW, 0.6 + 0.24 * model.size),
+                (NARROW, 0.4 + 0.24 * model.size),
                 lambda axes, names=names, model=model, nothing=nothing, index=index: drawing.draw_errors(
                     axes, THEMED, names, model, nothing, index
                 ),
+                margins=(0.15 + 0.075 * max(len(name) for name in names), 0.1, 0.25, 0.02),
             )  # fmt: skip
             chart = Chart(label, svg, "Dot: the model. Diamond: predicting no change. Left is better.", index)
         else:

@@ -80,7 +80,9 @@ def draw_maze(
 ) -> None:
     """Walls and cell letters, logged paths in thin grey, the best logged path dotted, learned paths on top."""
     for x, y in layout.walls:
-        axes.add_patch(Rectangle((x - 0.5, y - 0.5), 1, 1, facecolor=palette.wall, linewidth=0, antialiased=False))
+        # The edge closes the hairlines that renderers leave between neighbouring squares.
+        square = Rectangle((x - 0.5, y - 0.5), 1, 1, facecolor=palette.wall, edgecolor=palette.wall, linewidth=1.2)
+        axes.add_patch(square)
     for name, (x, y) in layout.names.items():
         text = axes.text(
             x - 0.44, y + 0.43, name, color=palette.muted, fontsize=8, fontweight="bold", va="top", ha="left"
@@ -91,8 +93,9 @@ def draw_maze(
     axes.add_patch(
         Circle(goal, SUCCESS_RADIUS, fill=False, edgecolor=palette.ink, linewidth=0.9, linestyle=(0, (3, 2)))
     )
-    for path in () if logged is None else logged.positions:
-        axes.plot(path[:, 0], path[:, 1], color=palette.data, linewidth=0.5, alpha=0.35, solid_joinstyle="round")
+    if logged is not None:
+        for line in _joined(logged.positions, groups=8):
+            axes.plot(line[:, 0], line[:, 1], color=palette.data, linewidth=0.5, alpha=0.4, solid_joinstyle="round")
     if best is not None:
         axes.plot(best[:, 0], best[:, 1], color=palette.ink, linewidth=1.3, linestyle=(0, (1, 1.6)), zorder=3)
     if learned is not None:
@@ -108,21 +111,27 @@ def draw_maze(
 
 
 def _draw_learned(axes: Axes, palette: Palette, learned: Trajectories) -> None:
-    stitched = learned.stitched
-    count = len(learned.positions)
-    flags = np.ones(count, bool) if stitched is None else np.asarray(stitched, bool)
-    plain = stitched is None
-    # Detours first, so that the paths that stitch lie on top where both go.
-    for index in np.argsort(flags, kind="stable"):
-        path = learned.positions[index]
-        path = path[np.isfinite(path).all(axis=1)]
-        if not len(path):
+    positions = learned.positions
+    kinds = [(np.ones(len(positions), bool), palette.method(0), "-", "o")]
+    if learned.stitched is not None:
+        # Detours first, so that the paths that stitch lie on top where both go.
+        detours = (~learned.stitched, palette.detour, (0, (4, 1.5)), "x")
+        kinds = [detours, (learned.stitched, palette.stitched, "-", "o")]
+    for chosen, colour, style, mark in kinds:
+        if not chosen.any():
             continue
-        colour = palette.method(0) if plain else palette.stitched if flags[index] else palette.detour
-        style = "-" if flags[index] else (0, (4, 1.5))
-        axes.plot(path[:, 0], path[:, 1], color=colour, linewidth=0.9, alpha=0.6, linestyle=style, zorder=4)
-        mark = "o" if flags[index] else "x"
-        axes.plot(path[-1:, 0], path[-1:, 1], mark, color=colour, markersize=3.5, alpha=0.9, zorder=5)
+        paths = positions[chosen]
+        for line in _joined(paths, groups=6):
+            axes.plot(line[:, 0], line[:, 1], color=colour, linewidth=0.9, alpha=0.6, linestyle=style, zorder=4)
+        last = np.isfinite(paths[:, :, 0]).sum(axis=1) - 1  # NaN comes only after the end
+        ends = paths[np.arange(len(paths)), last]
+        axes.plot(ends[:, 0], ends[:, 1], color=colour, linestyle="", marker=mark, markersize=3.5, alpha=0.9, zorder=5)
+
+
+def _joined(paths: np.ndarray, groups: int) -> list[np.ndarray]:
+    """Few long lines instead of many short ones, broken between episodes: quick to draw, and overlaps still darken."""
+    broken = np.pad(paths, ((0, 0), (0, 1), (0, 0)), constant_values=np.nan)
+    return [broken[start::groups].reshape(-1, 2) for start in range(min(groups, len(broken)))]
 
 
 def draw_curves(
@@ -170,6 +179,8 @@ def draw_curves(
         axes.set_xlim(left=0)
     _style(axes, palette)
     step_axis(axes)
+    if not logarithmic:
+        _short_values(axes)
 
 
 def band(curve: Curve) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -213,23 +224,26 @@ def draw_returns(
             textcoords="offset points", fontsize=8, color=palette.ink, fontweight="bold",
         )  # fmt: skip
         label.set_parse_math(False)
+    wanted = [row.interval for row in rows if row.interval is not None] + [(value, value) for _, value in references]
+    left, right = _limits(edges, wanted)
+    axes.set_xlim(left, right)
+    visible = [(name, value) for name, value in references if left <= value <= right]
     # Each name on a line of its own, because best and mean may lie close together.
-    for place, (name, value) in enumerate(references):
+    for place, (name, value) in enumerate(visible):
         axes.axvline(value, color=palette.ink, linewidth=1.0, linestyle=(0, (1, 1.6)), zorder=1)
         text = axes.annotate(
             f"{name} {plain_number(value)}", (value, 1.0), xycoords=("data", "axes fraction"), xytext=(3, -9 * place),
             textcoords="offset points", fontsize=7.5, color=palette.ink, va="top",
         )  # fmt: skip
         text.set_parse_math(False)
-    axes.set_xlim(*_limits(edges, [row.interval for row in rows if row.interval is not None]))
-    axes.set_ylim(-0.3, len(rows) + 0.25 * max(len(references), 1))
+    axes.set_ylim(-0.3, len(rows) + 0.25 * max(len(visible), 1))
     axes.set_yticks([])
     _style(axes, palette, lines="x")
     axes.set_xlabel("undiscounted return of an episode", color=palette.muted, fontsize=8)
 
 
 def _limits(edges: np.ndarray, intervals: Sequence[tuple[float, float]]) -> tuple[float, float]:
-    """Room for all returns, and for intervals as far as they do not squeeze the returns."""
+    """Room for all returns, and for intervals and marks as far as they do not squeeze the returns."""
     low, high = float(edges[0]), float(edges[-1])
     width = high - low
     lowest = max(min([low, *(interval[0] for interval in intervals)]), low - 0.5 * width)
@@ -269,10 +283,12 @@ def draw_critic(
         width = max(allowed[1] - allowed[0], 1e-6)
         if values.size and (values.max() > allowed[1] + 3 * width or values.min() < allowed[0] - 3 * width):
             axes.set_yscale("symlog", linthresh=width)
+            axes.yaxis.set_minor_locator(NullLocator())
     if mean.steps.size > 1:
         axes.set_xlim(0, mean.steps[-1])
     _style(axes, palette)
     step_axis(axes)
+    _short_values(axes)
 
 
 def draw_errors(
@@ -302,7 +318,7 @@ def step_axis(axes: Axes) -> None:
     axes.set_xlabel("updates", fontsize=8)
 
 
-def short_count(value: float) -> str:
+def short_count(value: int | float) -> str:
     """1500 as 1.5k, 2000000 as 2M."""
     for size, letter in ((1e6, "M"), (1e3, "k")):
         if abs(value) >= size:
@@ -310,7 +326,7 @@ def short_count(value: float) -> str:
     return f"{value:g}"
 
 
-def plain_number(value: float) -> str:
+def plain_number(value: int | float) -> str:
     """About three digits that mean something: 1,234, 121.3, 7.26, 0.0123."""
     size = abs(value)
     if not np.isfinite(value):
@@ -320,6 +336,10 @@ def plain_number(value: float) -> str:
     if size >= 10 or value == 0:
         return f"{value:.1f}"
     return f"{value:.2f}" if size >= 1 else f"{value:.3g}"
+
+
+def _short_values(axes: Axes) -> None:
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: short_count(value)))
 
 
 def _plain_powers(axis: Axis) -> None:

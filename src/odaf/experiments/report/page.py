@@ -4,7 +4,6 @@ import json
 import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import jinja2
 
@@ -19,8 +18,7 @@ from odaf.experiments.report.scores import Score, headline_index, labels, score
 from odaf.experiments.report.svg import variables
 from odaf.training.files import write_atomically
 
-LOCAL = "locally generated data"
-_COMPARED = ("preset", "algorithm", "steps", "seeds", "evaluate")
+_NOT_SETTINGS = ("format", "version")
 
 
 def build(run_directories: Sequence[Path], out: Path, title: str | None = None) -> Path:
@@ -41,8 +39,8 @@ def render(runs: Sequence[RunRecord], title: str | None = None) -> str:
     named = list(zip(names, runs, strict=True))
     scores = [score(run, name) for name, run in named]
     main = headline_index(runs)
-    origins = [data_origin(run) for run in runs]
-    settings = [{key: run.config[key] for key in _COMPARED if key in run.config} for run in runs]
+    origins = [run.origin for run in runs]
+    settings = [{key: value for key, value in run.config.items() if key not in _NOT_SETTINGS} for run in runs]
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("odaf.experiments.report", "templates"),
         autoescape=True,
@@ -60,7 +58,6 @@ def render(runs: Sequence[RunRecord], title: str | None = None) -> str:
         names=names,
         scores=scores,
         main=main,
-        local=LOCAL,
         origins=origins,
         verdict=verdict(runs[main], scores[main]),
         facts=data_facts(runs[main]),
@@ -71,7 +68,7 @@ def render(runs: Sequence[RunRecord], title: str | None = None) -> str:
         returns=charts.returns_chart(runs, scores),
         decimals=decimals([value for entry in scores for value in (entry.mean, *entry.seed_means)]),
         critics=charts.critic_charts(runs, names),
-        no_critic=[name for name, run in named if not _logs(run, "critic/mean")],
+        no_critic=[name for name, run in named if charts.quantity(run, name, 0, "critic/mean") is None],
         uncertainty=charts.metric_chart(
             runs, names, "outcome/uncertainty", "Outcome uncertainty",
             "Disagreement of the critics at the predicted outcomes; it falls as the policy keeps to known ground.",
@@ -86,7 +83,7 @@ def render(runs: Sequence[RunRecord], title: str | None = None) -> str:
         configurations=[json.dumps(run.config, indent=2, ensure_ascii=False) for run in runs],
         machines=[machine_facts(run) for run in runs],
         files=[(name, *(str(run.data.get(field, ABSENT)) for field in ("path", "sha256"))) for name, run in named],
-        provenance=json.dumps(run_provenance(runs[main]), indent=2, ensure_ascii=False),
+        provenance=json.dumps(runs[main].provenance, indent=2, ensure_ascii=False),
         commands=[(name, command(run)) for name, run in named],
     )  # fmt: skip
 
@@ -96,21 +93,6 @@ def default_title(names: Sequence[str]) -> str:
     if len(names) == 1:
         return f"{names[0]}: what it learned"
     return f"{', '.join(names[:-1])} and {names[-1]} compared"
-
-
-def data_origin(run: RunRecord) -> str:
-    """`LOCAL` where the data's provenance says it was generated here, else an empty string."""
-    provenance = run_provenance(run)
-    stated = provenance.get("generated_locally")
-    if isinstance(stated, bool):
-        return LOCAL if stated else ""
-    return LOCAL if any(provenance.get(field) for field in ("generator", "generated")) else ""
-
-
-def run_provenance(run: RunRecord) -> Mapping[str, Any]:
-    """Where the training data came from, in the data's own words."""
-    provenance = run.summary_of_data.get("provenance")
-    return provenance if isinstance(provenance, Mapping) else {}
 
 
 def verdict(run: RunRecord, entry: Score) -> str:
@@ -164,10 +146,10 @@ def gaps(runs: Sequence[RunRecord], names: Sequence[str]) -> list[str]:
         if isinstance(planned, list) and run.seeds and len(run.seeds) < len(planned):
             found.append(f"{name}: {len(run.seeds)} of {len(planned)} seeds have started.")
         for seed in run.seeds:
-            if not seed.summary:
+            if seed.status != "finished":
                 target = run.config.get("steps")
                 of = f" of {target:,}" if isinstance(target, int) else ""
-                found.append(f"{name}, seed {seed.seed}: unfinished, {seed.step:,}{of} updates so far.")
+                found.append(f"{name}, seed {seed.seed}: {seed.status}, {seed.step:,}{of} updates so far.")
             if seed.evaluation is None:
                 found.append(f"{name}, seed {seed.seed}: no evaluation, so it has no score.")
             elif seed.evaluation.step < seed.step:
@@ -192,7 +174,7 @@ def machine_facts(run: RunRecord) -> list[tuple[str, str]]:
     """Versions and device, in the order of the file."""
     facts: list[tuple[str, str]] = []
     for key, value in run.machine.items():
-        if key == "command":
+        if key == "command" or value == []:
             continue
         if isinstance(value, Mapping):
             facts += [(str(name), str(entry)) for name, entry in value.items()]
@@ -204,9 +186,16 @@ def machine_facts(run: RunRecord) -> list[tuple[str, str]]:
 def command(run: RunRecord) -> str | None:
     """The command line that made the run, ready to paste."""
     words = run.machine.get("command")
-    if isinstance(words, list) and words:
-        return shlex.join(str(word) for word in words)
-    return words if isinstance(words, str) and words else None
+    if not isinstance(words, list) or not words:
+        return None
+    program, *options = (str(word) for word in words)
+    if Path(program).name in ("odaf", "odaf.exe"):
+        start = ["odaf"]
+    elif Path(program).parts[-2:] == ("odaf", "__main__.py"):
+        start = ["python", "-m", "odaf"]
+    else:
+        start = ["python", program]
+    return shlex.join([*start, *options])
 
 
 def decimals(values: Sequence[float | None]) -> int:
@@ -215,24 +204,24 @@ def decimals(values: Sequence[float | None]) -> int:
     return 0 if largest >= 10_000 else 1 if largest >= 10 else 2 if largest >= 1 else 3
 
 
-def figure(value: float | None, places: int | None = None) -> str:
+def figure(value: int | float | None, places: int | None = None) -> str:
     """A number for a table; a dash for none."""
     if value is None:
         return ABSENT
     return plain_number(value) if places is None else f"{value:,.{places}f}"
 
 
-def count(value: float | None) -> str:
+def count(value: int | float | None) -> str:
     """A whole number with separators; a dash for none."""
     return ABSENT if value is None else f"{round(value):,}"
 
 
-def share(value: float | None) -> str:
+def share(value: int | float | None) -> str:
     """A rate in percent; a dash for none."""
     return ABSENT if value is None else f"{100 * value:.0f} %"
 
 
-def duration(seconds: float | None) -> str:
+def duration(seconds: int | float | None) -> str:
     """Seconds as a person says them."""
     if seconds is None:
         return ABSENT
@@ -240,7 +229,3 @@ def duration(seconds: float | None) -> str:
         return f"{seconds:.0f} s"
     minutes = round(seconds / 60)
     return f"{minutes} min" if minutes < 120 else f"{minutes // 60} h {minutes % 60:02d} min"
-
-
-def _logs(run: RunRecord, name: str) -> bool:
-    return any(name in seed.series for seed in run.seeds)

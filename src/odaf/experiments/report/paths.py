@@ -28,6 +28,7 @@ def maze_charts(runs: Sequence[RunRecord], labels: Sequence[str]) -> list[Chart]
             lambda axes, layout=layout, run=run, learned=learned: drawing.draw_maze(
                 axes, THEMED, layout, thinned(learned), logged_paths(run), best_path(run)
             ),
+            margins=(0, 0, 0, 0),
         )
         charts.append(Chart(label, svg, _paths_caption(learned)))
     return charts

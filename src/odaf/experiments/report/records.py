@@ -17,9 +17,9 @@ import numpy as np
 from odaf.errors import ConfigError
 from odaf.training import logging
 from odaf.training.files import read_json
+from odaf.training.run_directory import FORMAT, VERSION
 
-FORMAT = "odaf-run"
-VERSION = 1
+LOCAL = "locally generated data"
 _REMEDY = "Restore the file, or train again."
 
 
@@ -72,8 +72,9 @@ class SeedRecord:
 
     @property
     def status(self) -> str:
-        """What the run says of itself; "unfinished" where it wrote no summary."""
-        return str(self.summary.get("status", "unfinished"))
+        """What the run says of itself, such as "finished"; "unfinished" for one that is running or was cut off."""
+        status = str(self.summary.get("status", "running"))
+        return "unfinished" if status == "running" else status
 
     @property
     def step(self) -> int:
@@ -120,7 +121,7 @@ class SeedRecord:
 
     def _logged_evaluation(self) -> Evaluation | None:
         means = self.series.get("evaluation/return_mean")
-        if means is None:
+        if means is None or not math.isfinite(means.values[-1]):
             return None
         step = int(means.steps[-1])
         return Evaluation(
@@ -190,6 +191,17 @@ class RunRecord:
         """`Dataset.summary()` of the training data, empty where unknown."""
         summary = self.data.get("summary")
         return summary if isinstance(summary, Mapping) else {}
+
+    @property
+    def provenance(self) -> Mapping[str, Any]:
+        """Where the training data came from, in the data's own words; empty where unknown."""
+        provenance = self.summary_of_data.get("provenance")
+        return provenance if isinstance(provenance, Mapping) else {}
+
+    @property
+    def origin(self) -> str:
+        """`LOCAL` where a generator of ours made the data, so that no score passes for one on published data."""
+        return LOCAL if self.provenance.get("generator") else ""
 
     @property
     def environment(self) -> Mapping[str, Any] | None:
@@ -288,7 +300,8 @@ def read_arrays(path: Path) -> Mapping[str, np.ndarray]:
         ConfigError: the file is damaged or holds anything but plain arrays.
     """
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        # Opened here, because numpy leaves the file open when the archive is damaged.
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             return {name: archive[name] for name in archive.files}
     except Exception as error:  # numpy and zipfile raise half a dozen unrelated types for damaged archives
         raise ConfigError(

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
 
+from odaf.evaluation.statistics import t_interval
 from odaf.experiments.report.records import Evaluation, RunRecord, SeedRecord, number, optional
 
 
@@ -24,13 +24,14 @@ class Score:
         step: updates at the evaluation, `None` without one; the smallest where seeds differ.
         mean: mean over seeds of each seed's mean return.
         std: standard deviation over all episodes of all seeds.
-        interval: 95 % interval of the mean over seeds, `None` below two seeds.
+        interval: Student's 95 % interval of the mean over seeds, `None` below two seeds. With two seeds it is 12.7
+            standard errors wide on either side, which is what two seeds can say.
         seed_means: mean return of each evaluated seed, in ascending order of seeds.
         success_rate: mean over seeds, `None` where the environment has no such flag.
         stitched_rate: likewise.
         updates_per_second: mean over seeds.
         train_seconds: mean over seeds, updates only.
-        status: "complete", or what the seeds that are not complete say of themselves.
+        status: "finished", or what the seeds that are not finished say of themselves.
     """
 
     label: str
@@ -72,8 +73,9 @@ def headline_index(runs: Sequence[RunRecord]) -> int:
 def score(run: RunRecord, label: str) -> Score:
     """The table row of one run."""
     evaluations = [seed.evaluation for seed in run.evaluated if seed.evaluation is not None]
-    means = np.asarray([evaluation.mean for evaluation in evaluations])
-    unfinished = sorted({seed.status for seed in run.seeds} - {"complete", "finished", "done"})
+    means = np.asarray([evaluation.mean for evaluation in evaluations], np.float64)
+    over_seeds = t_interval(means) if means.size > 1 else None
+    unfinished = sorted({seed.status for seed in run.seeds} - {"finished"})
     return Score(
         label=label,
         directory=run.directory.name,
@@ -83,25 +85,14 @@ def score(run: RunRecord, label: str) -> Score:
         step=min((evaluation.step for evaluation in evaluations), default=None),
         mean=float(means.mean()) if means.size else None,
         std=episode_std(evaluations) if evaluations else None,
-        interval=interval_over_seeds(means),
+        interval=None if over_seeds is None else (over_seeds.low, over_seeds.high),
         seed_means=tuple(means.tolist()),
         success_rate=_mean([evaluation.success_rate for evaluation in evaluations]),
         stitched_rate=_mean([evaluation.stitched_rate for evaluation in evaluations]),
         updates_per_second=_mean([_updates_per_second(seed) for seed in run.seeds]),
         train_seconds=_mean([_train_seconds(seed) for seed in run.seeds]),
-        status=", ".join(unfinished) if unfinished else ("complete" if run.seeds else "no seeds"),
+        status=", ".join(unfinished) if unfinished else ("finished" if run.seeds else "not started"),
     )
-
-
-def interval_over_seeds(means: np.ndarray, level: float = 0.95) -> tuple[float, float] | None:
-    """Student's t interval of the mean of [seeds] per-seed means; `None` below two seeds.
-
-    With two seeds the factor is 12.7 standard errors, which is what two seeds can say.
-    """
-    if means.size < 2:
-        return None
-    half = float(stats.t.ppf(0.5 + level / 2, means.size - 1) * means.std(ddof=1) / math.sqrt(means.size))
-    return float(means.mean()) - half, float(means.mean()) + half
 
 
 def episode_std(evaluations: Sequence[Evaluation]) -> float | None:
