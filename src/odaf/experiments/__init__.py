@@ -1,0 +1,1 @@
+"""Studies made of the rooms below: presets, the maze comparison, the report."""
