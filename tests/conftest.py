@@ -30,7 +30,7 @@ import jaxtyping  # noqa: E402
 import optax  # noqa: E402
 
 # Every annotation of the package is checked while the tests run.
-jaxtyping.install_import_hook("odaf", "beartype.beartype")
+jaxtyping.install_import_hook("odaf", "typechecking.check")
 
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
