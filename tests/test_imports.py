@@ -5,6 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import jaxtyping
 import pytest
 
 import odaf
@@ -169,3 +170,10 @@ def test_public_names_are_listed_and_load():
 def test_an_unknown_public_name_is_explained():
     with pytest.raises(AttributeError, match="no attribute 'Datasett'; it offers"):
         odaf.__getattr__("Datasett")
+
+
+def test_annotations_are_checked_while_the_tests_run():
+    from odaf.cli.dispatch import is_group
+
+    with pytest.raises(jaxtyping.TypeCheckError):
+        is_group(3)  # type: ignore[arg-type]
