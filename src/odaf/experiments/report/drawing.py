@@ -211,16 +211,16 @@ def draw_returns(
         if row.returns.size:
             heights, _ = np.histogram(row.returns, edges)
             axes.bar(
-                edges[:-1], 0.6 * heights / max(heights.max(), 1), np.diff(edges), bottom=base, align="edge",
+                edges[:-1], 0.58 * heights / max(heights.max(), 1), np.diff(edges), bottom=base, align="edge",
                 color=colour, alpha=0.55 if row.index is None else 0.75, linewidth=0,
             )  # fmt: skip
         axes.axhline(base, color=palette.grid, linewidth=0.8, zorder=0)
         if row.interval is not None:
-            axes.plot(row.interval, [base - 0.1] * 2, color=palette.ink, linewidth=1.6)
+            axes.plot(row.interval, [base - 0.08] * 2, color=palette.ink, linewidth=1.6)
         if row.mean is not None:
-            axes.plot([row.mean], [base - 0.1], "o", markersize=5, color=colour, markeredgecolor=palette.ink)
+            axes.plot([row.mean], [base - 0.08], "o", markersize=5, color=colour, markeredgecolor=palette.ink)
         label = axes.annotate(
-            row.label, (0.0, base + 0.66), xycoords=("axes fraction", "data"), xytext=(2, 0),
+            row.label, (0.0, base + 0.63), xycoords=("axes fraction", "data"), xytext=(2, 0),
             textcoords="offset points", fontsize=8, color=palette.ink, fontweight="bold",
         )  # fmt: skip
         label.set_parse_math(False)

@@ -89,9 +89,11 @@ def render(runs: Sequence[RunRecord], title: str | None = None) -> str:
 
 
 def default_title(names: Sequence[str]) -> str:
-    """The methods, as a sentence's subject."""
+    """The methods by name, or their number where names would fill the screen."""
     if len(names) == 1:
         return f"{names[0]}: what it learned"
+    if len(names) > 4:
+        return f"{len(names)} methods compared"
     return f"{', '.join(names[:-1])} and {names[-1]} compared"
 
 
