@@ -13,7 +13,7 @@ from odaf import training
 from odaf.data.normalisation import Normaliser
 from odaf.data.sampling import device_columns, sample
 from odaf.errors import CheckpointError, ConfigError, DatasetError, DivergenceError
-from odaf.training import loop
+from odaf.training import loop, run_directory
 
 
 def _fit(tiny, directory, **changes):
@@ -95,6 +95,17 @@ def test_run_that_was_made_longer_and_cut_off_does_not_claim_to_be_finished(tiny
     config = json.loads((run.path / "config.json").read_text())
     (run.path / "config.json").write_text(json.dumps(config | {"steps": 100}))
     assert training.load_run(run.path).summary(0)["status"] == "running"
+
+
+def test_what_lies_beyond_the_checkpoint_is_removed_before_training_goes_on(tiny, tmp_path):
+    seed = tmp_path / "seed-0"
+    (seed / "evaluations").mkdir(parents=True)
+    (seed / "checkpoints" / ".writing-7-00000008").mkdir(parents=True)
+    for name in ("evaluations/00000004.npz", "evaluations/00000008.npz", "notes.txt", ".writing-7-summary.json"):
+        (seed / name).write_text("")
+    run_directory.clean(seed, 4)
+    left = {str(path.relative_to(seed)) for path in seed.rglob("*")}
+    assert left == {"evaluations", "evaluations/00000004.npz", "checkpoints", "notes.txt"}
 
 
 class _Crash(BaseException):
@@ -262,6 +273,31 @@ def test_stop_on_divergence_saves_first_and_resume_goes_on(tiny, tmp_path):
     assert run.summary(0)["status"] == "finished"
 
 
+@pytest.mark.parametrize("on_divergence", ["warn", "stop"])
+def test_lost_parameters_always_end_training_and_earlier_checkpoints_stay(tiny, tmp_path, on_divergence):
+    learner = tiny.TinyLearner(learning_rate=1e15)
+    with pytest.raises(
+        DivergenceError, match=r"seed-0: after update 4 the parameters are not finite .*tiny/loss is not"
+    ):
+        _fit(
+            tiny,
+            tmp_path / "run",
+            algorithm=learner,
+            checkpoint_every=2,
+            stretch=2,
+            evaluate=tiny.TinyEvaluator(),
+            on_divergence=on_divergence,
+        )
+    run = training.load_run(tmp_path / "run")
+    summary = run.summary(0)
+    assert (summary["step"], summary["status"], summary["evaluation"]) == (4, "diverged", None)
+    assert np.isfinite(run.policy(0, 2)(np.zeros(3, np.float32))).all()
+    with pytest.raises(DivergenceError, match="earlier checkpoint"):
+        run.policy(0)(np.ones(3, np.float32))
+    with pytest.raises(DivergenceError, match="after update 6"):
+        training.resume(run.path, dataset=tiny.tiny_dataset(), evaluate=tiny.TinyEvaluator(), progress=False)
+
+
 def test_run_directory_explains_itself_without_the_dataset(tiny, tmp_path):
     dataset = tiny.tiny_dataset()
     _fit(tiny, tmp_path / "run", preset="small", evaluate=tiny.TinyEvaluator(every=8))
@@ -293,6 +329,14 @@ def test_run_directory_explains_itself_without_the_dataset(tiny, tmp_path):
         run.policy(0, 5)
     with pytest.raises(ConfigError, match="no seed 7"):
         run.policy(7)
+
+
+def test_checkpoint_of_another_seed_is_refused(tiny, tmp_path):
+    run = _fit(tiny, tmp_path / "run", steps=4, seeds=(0, 1))
+    shutil.rmtree(run.checkpoint(1).path)
+    shutil.copytree(run.checkpoint(0).path, run.seed_directory(1) / "checkpoints" / "00000004")
+    with pytest.raises(CheckpointError, match=r"seed-1.*header\.json: seed: expected 1, found 0"):
+        run.policy(1)
 
 
 def test_other_loggers_hear_what_the_file_holds(tiny, tmp_path):

@@ -9,7 +9,7 @@ from odaf.training import progress
 
 def test_lines_are_rare_but_the_last_is_never_missing(monkeypatch):
     now = [0.0]
-    monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr("time.monotonic", lambda: now[0])
     stream = io.StringIO()
     report = progress.Lines(stream, interval=10.0)
     report.start("seed 0: compiling", 0)

@@ -92,6 +92,12 @@ def train_stretch(fixed: Fixed, state: Any) -> tuple[Any, dict[str, Float[Array,
     return eqx.combine(arrays, static), means
 
 
+def is_finite(state: Any) -> bool:
+    """Whether every floating-point number in `state` is finite."""
+    numbers = jax.tree.leaves(eqx.filter(state, eqx.is_inexact_array))
+    return all(bool(jnp.isfinite(leaf).all()) for leaf in numbers)
+
+
 def _firm(leaf: Array) -> Array:
     return jax.lax.convert_element_type(leaf, leaf.dtype)
 

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 from odaf.algorithms.base import Algorithm
 from odaf.data.normalisation import Normaliser, unscale_actions
 from odaf.data.spec import Spec
-from odaf.errors import DatasetError
+from odaf.errors import DatasetError, DivergenceError
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,12 +45,18 @@ class Policy:
 
         Raises:
             DatasetError: an observation has the wrong size, a name is missing or unknown, or a value is not finite.
+            DivergenceError: the parameters are those of a run that diverged to infinity.
         """
         rows = self._rows(observation)
         single = rows.ndim == 1
         batch = rows[None, :] if single else rows
         mean, scale = self._scaling
         actions = np.asarray(_act(self.algorithm, self.state, mean, scale, jnp.asarray(batch), self.spec))
+        if not np.isfinite(actions).all():
+            raise DivergenceError(
+                "policy: its action is not a finite number, so its parameters are broken: training diverged. "
+                "Use an earlier checkpoint, as in run.policy(seed, step=...)"
+            )
         return actions[0] if single else actions
 
     @cached_property
