@@ -116,8 +116,6 @@ def run_curves(run_directories: Sequence[Path]) -> tuple[list[Curve], list[tuple
     """Return curves of runs, and the logged best and mean as reference lines, for `learning_curves_figure`."""
     check_extra()
     from odaf.experiments.report import charts
-    from odaf.experiments.report.records import find_runs, read_run
-    from odaf.experiments.report.scores import labels
 
     runs = [read_run(directory) for directory in find_runs(run_directories)]
     return charts.return_curves(runs, labels(runs)), charts.references(runs)
