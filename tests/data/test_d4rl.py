@@ -17,7 +17,7 @@ def columns():
     return {
         "observations": observations.astype(np.float32),
         "actions": rng.uniform(-1, 1, (ROWS, 3)).astype(np.float32),
-        "next_observations": (observations + np.array([0.5, 5])).astype(np.float32),  # unlike the shifted rows, on purpose
+        "next_observations": (observations + np.array([0.5, 5])).astype(np.float32),  # not the shifted rows
         "rewards": rng.normal(size=ROWS).astype(np.float32),
         "terminals": np.arange(ROWS) == 4,
         "timeouts": np.arange(ROWS) == 8,
