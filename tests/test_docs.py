@@ -7,7 +7,9 @@ from pathlib import Path
 
 import pytest
 
+import odaf
 from odaf.cli.dispatch import find_command, main
+from odaf.environments import stitch_data
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -33,11 +35,24 @@ def commands(page: Path) -> list[tuple[int, list[str]]]:
     return found
 
 
+def make_runs() -> None:
+    """The runs that pages speak of, in the working directory: small ones, all of the method that is trained soonest."""
+    log = stitch_data.generate(stitch_data.CONFIGS["stitch"].with_repeats(1), seed=0)
+    learner = odaf.BehaviourCloning(hidden_sizes=(8,), batch_size=8)
+    for name in ("odaf", "behaviour-cloning"):
+        directory = Path("runs") / name
+        odaf.fit(
+            learner, log, steps=4, directory=directory, evaluate=odaf.Rollouts(episodes=2), preset=name, progress=False
+        )
+
+
 @pytest.mark.parametrize("page", [p for p in PAGES if blocks(p, "python")], ids=lambda p: str(p.relative_to(ROOT)))
 def test_python_examples_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """The blocks of one page are one program, run where it can leave files."""
     monkeypatch.chdir(tmp_path)
     names: dict[str, object] = {"__name__": "example"}
+    if any('Path("runs/odaf")' in text for _, text in blocks(page, "python")):
+        make_runs()
     for line, text in blocks(page, "python"):
         # Blank lines in front make a traceback name the line of the page.
         exec(compile("\n" * (line - 1) + text, str(page), "exec"), names)
@@ -77,8 +92,6 @@ def test_links_to_files_lead_somewhere(page: Path):
 
 
 def test_the_maze_on_the_data_page_can_be_recorded():
-    from odaf.environments.stitch_data import StitchConfig
-
     (_, text), *_ = blocks(ROOT / "docs" / "data.md", "json")
-    config = StitchConfig.from_dict(json.loads(text))
+    config = stitch_data.StitchConfig.from_dict(json.loads(text))
     assert sum(route.repeats for route in config.routes) == 200
