@@ -66,6 +66,9 @@ class EnsembleSAC(Algorithm):
     """Widths of the hidden layers of actor and critics."""
     critic_norm: Literal["layer", "none"] = "layer"
     """Layer normalisation inside the critics; "none" is the published form, which can diverge."""
+    critic_output_bound: float = 3e-3
+    """Initial weights of the critics' last layer are uniform in plus or minus this. More than the published 3e-3 makes
+    the members differ where the log does not hold them together, so that their minimum is more cautious there."""
     value_range: Literal["auto", "none"] = "auto"
     """Clip the critics' targets to what the logged rewards allow at this discount, or do not."""
     entropy_in_backup: bool = False
@@ -75,7 +78,11 @@ class EnsembleSAC(Algorithm):
     discount: float = 0.99
     """gamma, in [0, 1)."""
     target_rate: float = 5e-3
-    """Share of the online networks that enters the slow copies (critics and actor) at each update."""
+    """Share of the online critics that enters the target critics at each update."""
+    slow_actor_rate: float = 5e-3
+    """Share of the actor that enters its slow copy pi' at each update."""
+    deployed_actor: Literal["current", "slow"] = "current"
+    """Which actor the trained policy is: pi, or pi', an average over the last updates that does not swing with each."""
     batch_size: int = 256
     """Transitions a gradient step."""
     actor_learning_rate: float = 3e-4
@@ -131,7 +138,13 @@ class EnsembleSAC(Algorithm):
         key_actor, key_critics = jr.split(key)
         actor = init_gaussian_actor(key_actor, spec.obs_dim, spec.act_dim, self.hidden_sizes)
         critics = init_critics(
-            key_critics, spec.obs_dim, spec.act_dim, self.hidden_sizes, self.num_critics, self.critic_norm
+            key_critics,
+            spec.obs_dim,
+            spec.act_dim,
+            self.hidden_sizes,
+            self.num_critics,
+            self.critic_norm,
+            self.critic_output_bound,
         )
         bounds = value_range(spec, self.discount) if self.value_range == "auto" else (-math.inf, math.inf)
         log_temperature = jnp.asarray(math.log(self.initial_temperature), dtype=jnp.float32)
@@ -231,7 +244,7 @@ class EnsembleSAC(Algorithm):
         new_state = EnsembleState(
             step=state.step + 1,
             actor=actor,
-            slow_actor=polyak(state.slow_actor, actor, self.target_rate),
+            slow_actor=polyak(state.slow_actor, actor, self.slow_actor_rate),
             critics=critics,
             target_critics=polyak(state.target_critics, critics, self.target_rate),
             log_temperature=log_temperature,
@@ -244,8 +257,9 @@ class EnsembleSAC(Algorithm):
         return new_state, actor_metrics | critic_metrics | {"temperature/value": jnp.exp(log_temperature)}
 
     def act(self, state: EnsembleState, observations: Float[Array, "rows obs_dim"]) -> Float[Array, "rows act_dim"]:
-        """tanh of the actor's mean."""
-        return state.actor.mode(observations)
+        """tanh of the deployed actor's mean."""
+        actor = state.actor if self.deployed_actor == "current" else state.slow_actor
+        return actor.mode(observations)
 
     def _context(
         self,

@@ -10,7 +10,6 @@ from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 
 from odaf.components.networks import MLP, Norm, init_mlp
 
-OUTPUT_BOUND = 3e-3
 ROOT_EPSILON = 1e-12
 
 Result = TypeVar("Result", bound=PyTree)
@@ -73,11 +72,17 @@ _values_of_constants.defvjp(_values_and_slopes, _pull_back)
 
 
 def init_critics(
-    key: PRNGKeyArray, obs_dim: int, act_dim: int, hidden_sizes: tuple[int, ...], num_critics: int, norm: Norm
+    key: PRNGKeyArray,
+    obs_dim: int,
+    act_dim: int,
+    hidden_sizes: tuple[int, ...],
+    num_critics: int,
+    norm: Norm,
+    output_bound: float,
 ) -> CriticEnsemble:
-    """Draw `num_critics` independent Q-functions."""
+    """Draw `num_critics` independent Q-functions; the last layer is uniform in plus or minus `output_bound`."""
     sizes = (obs_dim + act_dim, *hidden_sizes, 1)
-    return CriticEnsemble(init_mlp(key, sizes, members=num_critics, norm=norm, output_bound=OUTPUT_BOUND))
+    return CriticEnsemble(init_mlp(key, sizes, members=num_critics, norm=norm, output_bound=output_bound))
 
 
 def disagreement(values: Float[Array, "critics *rows"], ddof: int = 0) -> Float[Array, "*rows"]:

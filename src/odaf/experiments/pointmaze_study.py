@@ -38,17 +38,26 @@ class StudyRun:
         return f"{self.maze}-{self.preset}-seed{self.seed}-{self.steps}"
 
 
-def plan() -> list[StudyRun]:
-    """Every run of the study, the most important first; a longer run goes on where the shorter one stopped."""
-    runs = [StudyRun("odaf", "stitch", seed, 20_000) for seed in range(4)]
-    runs += [StudyRun("behaviour-cloning", "stitch", seed, 20_000) for seed in range(4)]
-    runs += [StudyRun("odaf", "crossroads", seed, 20_000) for seed in range(2)]
-    runs += [StudyRun("odaf-without-outcome", "stitch", seed, 20_000) for seed in range(4)]
-    runs += [StudyRun("odaf", "stitch", seed, 50_000) for seed in range(2)]
-    runs += [StudyRun("odaf-without-outcome", "stitch", seed, 50_000) for seed in range(2)]
-    runs += [StudyRun("odaf-paper", "stitch", seed, 20_000) for seed in range(2)]
-    runs += [StudyRun("behaviour-cloning", "crossroads", seed, 20_000) for seed in range(2)]
-    return runs
+def plan() -> list[list[StudyRun]]:
+    """Every run of the study, in phases: a longer run goes on where the same one of an earlier phase stopped."""
+
+    def runs(preset: str, maze: str, seeds: int, steps: int) -> list[StudyRun]:
+        return [StudyRun(preset, maze, seed, steps) for seed in range(seeds)]
+
+    return [
+        runs("odaf", "stitch", 4, 20_000),
+        [
+            *runs("odaf", "stitch", 2, 50_000),
+            *runs("odaf", "crossroads", 2, 20_000),
+            *runs("behaviour-cloning", "stitch", 4, 20_000),
+            *runs("behaviour-cloning", "crossroads", 2, 20_000),
+            *runs("odaf-without-outcome", "stitch", 4, 20_000),
+        ],
+        [
+            *runs("odaf-without-outcome", "stitch", 2, 50_000),
+            *runs("odaf-paper", "stitch", 2, 20_000),
+        ],
+    ]
 
 
 def run(out: Path, workers: int = 1, work: Path | None = None) -> None:
@@ -60,13 +69,13 @@ def run(out: Path, workers: int = 1, work: Path | None = None) -> None:
         work: directory of data and run directories; None takes `runs/pointmaze`.
     """
     work = Path("runs/pointmaze") if work is None else work
-    missing = [job for job in plan() if not (out / f"{job.name}.json").exists()]
-    print(f"{len(missing)} of {len(plan())} runs to go; records in {out}", file=sys.stderr)
+    runs = [job for phase in plan() for job in phase]
+    missing = [job for job in runs if not (out / f"{job.name}.json").exists()]
+    print(f"{len(missing)} of {len(runs)} runs to go; records in {out}", file=sys.stderr)
     for maze in sorted({job.maze for job in missing}):
         _data_file(work, maze)
-    # runs that continue another one wait for it
-    for steps in sorted({job.steps for job in missing}):
-        jobs = [(job, out, work) for job in missing if job.steps == steps]
+    for phase in plan():
+        jobs = [(job, out, work) for job in phase if job in missing]
         for (job, _, _), record in run_jobs(_measure, jobs, workers):
             final = record["final"]
             print(f"{job.name}: {final['mean_return']:.1f} +- {final['std_return']:.1f}", file=sys.stderr)
@@ -90,7 +99,7 @@ def table(records: Sequence[dict[str, Any]]) -> str:
         f"Scores on {LOCAL}; last checkpoint, deterministic policy, {EPISODES} episodes a seed. Intervals are 95 %",
         "Student intervals over seeds. Made by `odaf reproduce pointmaze` from the records in this folder.",
         "",
-        "| maze | method | updates | seeds | mean return | 95 % interval | worst seed | stitched | success | updates/s |",
+        "| maze | method | updates | seeds | return | 95 % interval | worst seed | stitched | success | updates/s |",
         "|---|---|---|---|---|---|---|---|---|---|",
     ]
     groups: dict[tuple[str, str, int], list[dict[str, Any]]] = {}
