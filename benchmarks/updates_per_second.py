@@ -1,6 +1,6 @@
 """How many updates a second each learner makes, beside what the machine's matrix products allow.
 
-The ceiling is the batched product (K, 256, 256) x (K, 256, 256) of the compiler that training uses, measured in the same
+The ceiling is the batched product (10, 256, 256) x (10, 256, 256) of the compiler that trains, measured in the same
 rounds as the learners, so that a slow or busy machine slows both. Floating-point operations are counted by hand:
 
     one unit u   = a forward pass of the batch through all K critics = 2 * batch * K * (products of layer widths)
@@ -15,6 +15,7 @@ Actor, dynamics model and optimiser are not counted: the share is a lower bound 
 
 import argparse
 import functools
+import itertools
 import json
 import platform
 import statistics
@@ -44,7 +45,7 @@ def gflop_per_update(algorithm: Any) -> float:
     if not isinstance(algorithm, EnsembleSAC):
         return 0.0
     sizes = (SPEC.obs_dim + SPEC.act_dim, *algorithm.hidden_sizes, 1)
-    products = sum(a * b for a, b in zip(sizes[:-1], sizes[1:], strict=True))
+    products = sum(a * b for a, b in itertools.pairwise(sizes))
     unit = 2.0 * algorithm.batch_size * algorithm.num_critics * products
     units = 6.0
     for term in algorithm.active_terms:
