@@ -19,8 +19,8 @@ class DemoOptions:
 
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("runs/demo")
     """Directory for data, runs, report.html and summary.json; the same command again goes on where it stopped."""
-    steps: int = 10_000
-    """Updates for each method."""
+    steps: Annotated[int | None, tyro.conf.arg(metavar="INT")] = None
+    """Updates for each method; without it, as many as it takes to see the difference."""
     workers: Annotated[int | None, tyro.conf.arg(metavar="INT")] = None
     """Methods trained at the same time; without it, one for each core."""
 
@@ -32,4 +32,4 @@ def run(arguments: list[str]) -> None:
     from odaf.experiments import demo
 
     with repeatable():
-        demo.run(options.out, options.steps, options.workers)
+        demo.run(options.out, options.steps or demo.STEPS, options.workers)
