@@ -3,22 +3,56 @@
 import jax
 import jax.numpy as jnp
 import jax.random as jr
+import numpy as np
 from jaxtyping import Array, PRNGKeyArray
 
 from odaf.data.dataset import Dataset
 from odaf.data.normalisation import Normaliser, scale_actions
 from odaf.data.transitions import Transitions
+from odaf.errors import DatasetError
 
 
-def device_columns(dataset: Dataset, normaliser: Normaliser) -> Transitions:
-    """All rows of `dataset` on the default device: observations normalised, actions scaled to [-1, 1]."""
+def device_columns(
+    dataset: Dataset, normaliser: Normaliser, return_steps: int = 1, discount: float = 1.0
+) -> Transitions:
+    """The dataset's rows on the default device: observations normalised, actions scaled to [-1, 1].
+
+    Args:
+        dataset: the log.
+        normaliser: the observation scaling.
+        return_steps: n. Each row gets the discounted sum of the n rewards from it on, the successor n steps later, and
+            whether the task ended on the way; its value then bootstraps with discount to the power n. Rows that are
+            fewer than n steps away from the cut of their episode have no such successor and are left out.
+        discount: weight of a reward one step later, in that sum.
+    """
+    rewards, last, kept = _n_step(dataset, return_steps, discount)
     return Transitions(
-        observations=jnp.asarray(normaliser.normalise(dataset.observations)),
-        actions=jnp.asarray(scale_actions(dataset.actions, dataset.action_low, dataset.action_high)),
-        rewards=jnp.asarray(dataset.rewards),
-        next_observations=jnp.asarray(normaliser.normalise(dataset.next_observations)),
-        terminated=jnp.asarray(dataset.terminated, jnp.float32),
+        observations=jnp.asarray(normaliser.normalise(dataset.observations[kept])),
+        actions=jnp.asarray(scale_actions(dataset.actions[kept], dataset.action_low, dataset.action_high)),
+        rewards=jnp.asarray(rewards),
+        next_observations=jnp.asarray(normaliser.normalise(dataset.next_observations[last])),
+        terminated=jnp.asarray(dataset.terminated[last], jnp.float32),
     )
+
+
+def _n_step(dataset: Dataset, steps: int, discount: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(n-step rewards, row that holds the n-step successor, row it belongs to), each [kept rows]."""
+    rows = np.arange(len(dataset))
+    lengths = dataset.episode_lengths()
+    stops = np.repeat(dataset.episode_starts + lengths, lengths)
+    last = np.minimum(rows + steps, stops) - 1
+    kept = np.flatnonzero((last - rows + 1 == steps) | dataset.terminated[last])
+    if len(kept) == 0:
+        raise DatasetError(
+            f"return_steps={steps}: no episode has so many steps (the longest has {lengths.max()}); choose fewer"
+        )
+    if steps == 1:
+        return dataset.rewards, last, kept
+    total = np.zeros(len(dataset))
+    for ahead in range(steps):
+        inside = rows + ahead < stops
+        total[inside] += discount**ahead * dataset.rewards[rows[inside] + ahead]
+    return total[kept].astype(np.float32), last[kept], kept
 
 
 def sample(columns: Transitions, key: PRNGKeyArray | Array, batch_size: int) -> Transitions:

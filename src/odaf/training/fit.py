@@ -182,7 +182,8 @@ def _train(
                 training.write_summary()
                 continue
             if columns is None:
-                columns = device_columns(dataset, run.normaliser)
+                learner = run.algorithm
+                columns = device_columns(dataset, run.normaliser, learner.return_steps, learner.discount)
             training.go(dataset, columns, loggers)
     finally:
         progress.close()

@@ -1,0 +1,65 @@
+"""n-step rows of the device columns, against a loop over every episode."""
+
+import numpy as np
+import pytest
+
+from odaf.data import Dataset, Normaliser, device_columns
+from odaf.errors import DatasetError
+
+DISCOUNT = 0.9
+
+
+def _log(terminates: bool) -> Dataset:
+    """Two episodes of 4 and 3 steps; observations count rows, rewards are powers of two."""
+    rows = 7
+    observations = np.arange(rows, dtype=np.float32)[:, None]
+    ends = np.isin(np.arange(rows), (3, 6))
+    return Dataset.from_arrays(
+        observations,
+        np.zeros((rows, 1), np.float32),
+        2.0 ** np.arange(rows, dtype=np.float32),
+        next_observations=observations + 1.0,
+        terminated=ends if terminates else np.zeros(rows, bool),
+        truncated=np.zeros(rows, bool) if terminates else ends,
+        action_bounds=(np.array([-1.0]), np.array([1.0])),
+    )
+
+
+def _columns(log: Dataset, steps: int):
+    return device_columns(log, Normaliser.identity(1), steps, DISCOUNT)
+
+
+@pytest.mark.parametrize("terminates", [True, False])
+@pytest.mark.parametrize("steps", [1, 2, 3, 4])
+def test_rows_match_a_loop_over_episodes(steps: int, terminates: bool) -> None:
+    log = _log(terminates)
+    expected = []
+    for episode in range(log.num_episodes):
+        rows = range(*log.episode(episode).indices(len(log)))
+        for row in rows:
+            span = [r for r in range(row, row + steps) if r in rows]
+            if len(span) < steps and not terminates:
+                continue  # cut by the recording: no n-step successor is known
+            total = sum(DISCOUNT**ahead * float(log.rewards[r]) for ahead, r in enumerate(span))
+            expected.append((row, total, span[-1] + 1.0, terminates and span[-1] == rows[-1]))
+    columns = _columns(log, steps)
+    found = zip(
+        np.asarray(columns.observations)[:, 0],
+        np.asarray(columns.rewards),
+        np.asarray(columns.next_observations)[:, 0],
+        np.asarray(columns.terminated),
+        strict=True,
+    )
+    np.testing.assert_allclose([list(map(float, row)) for row in found], [list(map(float, e)) for e in expected])
+
+
+def test_one_step_keeps_every_row_and_every_bit_of_the_rewards() -> None:
+    log = _log(False)
+    columns = _columns(log, 1)
+    np.testing.assert_array_equal(columns.rewards, log.rewards)
+    np.testing.assert_array_equal(columns.next_observations, log.next_observations)
+
+
+def test_more_steps_than_any_episode_has_is_refused() -> None:
+    with pytest.raises(DatasetError, match="return_steps=5: no episode has so many steps"):
+        _columns(_log(False), 5)
