@@ -2,7 +2,7 @@
 
 import abc
 from collections.abc import Callable
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Generic, TypeVar
 
 import equinox as eqx
 from jaxtyping import Array, Float, Int, PRNGKeyArray, PyTree
@@ -22,7 +22,10 @@ class LearnerState(eqx.Module):
     step: eqx.AbstractVar[Int[Array, ""]]
 
 
-class Algorithm(abc.ABC):
+State = TypeVar("State", bound=LearnerState)
+
+
+class Algorithm(abc.ABC, Generic[State]):
     """A learner's settings (a frozen dataclass) and its pure functions.
 
     The loop calls, in this order: `untrained_side`, `pretrain`, `init`, then `update` inside compiled stretches, and
@@ -32,6 +35,7 @@ class Algorithm(abc.ABC):
     kind: ClassVar[str]
     discount: float
     batch_size: int
+    return_steps: int = 1  # n: a row of a batch spans n steps, and its reward is the discounted sum over them
 
     @abc.abstractmethod
     def untrained_side(self, key: PRNGKeyArray, spec: Spec) -> PyTree:
@@ -54,13 +58,13 @@ class Algorithm(abc.ABC):
         """
 
     @abc.abstractmethod
-    def init(self, key: PRNGKeyArray, spec: Spec, side: PyTree) -> LearnerState:
+    def init(self, key: PRNGKeyArray, spec: Spec, side: PyTree) -> State:
         """State at step 0 around given side networks."""
 
     @abc.abstractmethod
-    def update(self, state: LearnerState, batch: Transitions, key: PRNGKeyArray) -> tuple[LearnerState, Metrics]:
+    def update(self, state: State, batch: Transitions, key: PRNGKeyArray) -> tuple[State, Metrics]:
         """One gradient step on one batch. Pure and traceable; metric names are the same at every step."""
 
     @abc.abstractmethod
-    def act(self, state: LearnerState, observations: Float[Array, "rows obs_dim"]) -> Float[Array, "rows act_dim"]:
+    def act(self, state: State, observations: Float[Array, "rows obs_dim"]) -> Float[Array, "rows act_dim"]:
         """Deterministic actions in [-1, 1]."""

@@ -35,7 +35,7 @@ def cloning_loss(actor: DeterministicActor, batch: Transitions) -> Float[Array, 
 
 
 @dataclasses.dataclass(frozen=True)
-class BehaviourCloning(Algorithm):
+class BehaviourCloning(Algorithm[CloningState]):
     """Regression of logged actions on states."""
 
     kind: ClassVar[str] = "behaviour-cloning"
@@ -72,7 +72,7 @@ class BehaviourCloning(Algorithm):
         del key
         loss, gradient = jax.value_and_grad(cloning_loss)(state.actor, batch)
         updates, moments = self._optimiser().update(gradient, state.actor_optimiser)
-        actor = optax.apply_updates(state.actor, updates)
+        actor = eqx.apply_updates(state.actor, updates)
         return CloningState(state.step + 1, actor, moments), {"actor/loss": loss}
 
     def act(self, state: CloningState, observations: Float[Array, "rows obs_dim"]) -> Float[Array, "rows act_dim"]:

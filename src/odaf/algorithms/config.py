@@ -3,7 +3,7 @@
 import dataclasses
 import types
 from collections.abc import Mapping
-from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+from typing import Any, Literal, NoReturn, Union, get_args, get_origin, get_type_hints
 
 from odaf.algorithms.base import Algorithm
 from odaf.algorithms.registry import ALGORITHMS
@@ -13,7 +13,7 @@ from odaf.errors import ConfigError
 
 def to_dict(algorithm: Algorithm) -> dict[str, Any]:
     """Every field of a learner as JSON types; `from_dict` restores an equal learner."""
-    plain = {"kind": algorithm.kind}
+    plain: dict[str, Any] = {"kind": algorithm.kind}
     for field in dataclasses.fields(algorithm):  # type: ignore[arg-type]  # every learner is a dataclass
         value = getattr(algorithm, field.name)
         if field.name == "terms":
@@ -38,6 +38,8 @@ def from_dict(fields: Mapping[str, Any], source: str = "configuration") -> Algor
     if kind not in ALGORITHMS:
         raise ConfigError(f"{source}: kind={kind!r} is not a learner; known: {', '.join(ALGORITHMS)}")
     if "terms" in fields:
+        if not isinstance(fields["terms"], list | tuple):
+            raise ConfigError(f"{source}: terms={fields['terms']!r} must be a list of tables with a name each")
         fields["terms"] = tuple(_term(term, source) for term in fields["terms"])
     return _build(ALGORITHMS[kind], fields, source, kind)
 
@@ -58,14 +60,15 @@ def replace(algorithm: Algorithm, changes: Mapping[str, Any], source: str = "ove
     for name, value in changes.items():
         path = name.split(".")
         terms = {term["name"]: term for term in plain.get("terms", [])}
-        place = plain
+        place: dict[str, Any] = plain
         if len(path) > 1:
             if path[0] not in terms:
                 known = ", ".join(terms) or "none"
                 raise ConfigError(f"{source}: {name!r} names no term of this learner; its terms: {known}")
             place, path = terms[path[0]], path[1:]
         for part in path[:-1]:
-            place = place.get(part) if isinstance(place.get(part), dict) else _unknown(source, name, place)
+            inner = place.get(part)
+            place = inner if isinstance(inner, dict) else _unknown(source, name, place)
         fixed = ("kind", "terms") if place is plain else ("name",)  # these say what the thing is
         if path[-1] not in place or path[-1] in fixed:
             _unknown(source, name, place)
@@ -73,7 +76,7 @@ def replace(algorithm: Algorithm, changes: Mapping[str, Any], source: str = "ove
     return from_dict(plain, source)
 
 
-def _unknown(source: str, name: str, place: Mapping[str, Any]) -> Any:
+def _unknown(source: str, name: str, place: Mapping[str, Any]) -> NoReturn:
     raise ConfigError(f"{source}: unknown field {name!r}; known here: {', '.join(sorted(place))}")
 
 
@@ -83,7 +86,9 @@ def _plain(value: Any) -> Any:
     return list(value) if isinstance(value, tuple) else value
 
 
-def _term(fields: Mapping[str, Any], source: str) -> Term:
+def _term(fields: Any, source: str) -> Term:
+    if not isinstance(fields, Mapping):
+        raise ConfigError(f"{source}: a term must be a table with a name, got {fields!r}")
     fields = dict(fields)
     name = fields.pop("name", None)
     if name not in TERMS:

@@ -55,7 +55,7 @@ class EnsembleState(LearnerState):
 
 
 @dataclasses.dataclass(frozen=True)
-class EnsembleSAC(Algorithm):
+class EnsembleSAC(Algorithm[EnsembleState]):
     """Ensemble soft actor-critic plus terms."""
 
     kind: ClassVar[str] = "ensemble-sac"
@@ -77,6 +77,9 @@ class EnsembleSAC(Algorithm):
     """Critics that the actor climbs: the online ones, or the slow ones (as printed in the ODAF paper)."""
     discount: float = 0.99
     """gamma, in [0, 1)."""
+    return_steps: int = 1
+    """n: targets sum the next n logged rewards before they bootstrap. More carries values back in fewer updates and
+    piles up less pessimism on the way, at the price of trusting the logged actions for n steps."""
     target_rate: float = 5e-3
     """Share of the online critics that enters the target critics at each update."""
     slow_actor_rate: float = 5e-3
@@ -105,6 +108,16 @@ class EnsembleSAC(Algorithm):
             raise ConfigError(f"num_critics={self.num_critics}: an ensemble needs at least 2")
         if self.initial_temperature <= 0.0:
             raise ConfigError(f"initial_temperature={self.initial_temperature} must be positive")
+        for field in ("target_rate", "slow_actor_rate"):
+            if not 0.0 < getattr(self, field) <= 1.0:
+                raise ConfigError(
+                    f"{field}={getattr(self, field)} must lie in (0, 1]: the share that moves each update"
+                )
+        for field in ("batch_size", "return_steps"):
+            if getattr(self, field) < 1:
+                raise ConfigError(f"{field}={getattr(self, field)} must be at least 1")
+        if any(width < 1 for width in self.hidden_sizes):
+            raise ConfigError(f"hidden_sizes={self.hidden_sizes} must hold widths of at least 1")
         names = [term.name for term in self.terms]
         if len(set(names)) < len(names):
             raise ConfigError(f"terms {names} contain one term twice")
@@ -124,7 +137,8 @@ class EnsembleSAC(Algorithm):
         self, dataset: Dataset, normaliser: Normaliser, key: PRNGKeyArray, progress: PretrainProgress
     ) -> tuple[tuple[PyTree, ...], dict[str, Any]]:
         """Train each active term's side network; the report has an entry a term."""
-        sides, report = [], {"warnings": []}
+        sides: list[PyTree] = []
+        report: dict[str, Any] = {"warnings": []}
         for term in self.active_terms:
             side, findings = term.pretrain(dataset, normaliser, _key_for(term, key), progress)
             sides.append(side)
@@ -155,9 +169,9 @@ class EnsembleSAC(Algorithm):
             critics=critics,
             target_critics=copy_of(critics),
             log_temperature=log_temperature,
-            actor_optimiser=optax.adam(self.actor_learning_rate).init(actor),
-            critic_optimiser=optax.adam(self.critic_learning_rate).init(critics),
-            temperature_optimiser=optax.adam(self.temperature_learning_rate).init(log_temperature),
+            actor_optimiser=_moments(self.actor_learning_rate, actor),
+            critic_optimiser=_moments(self.critic_learning_rate, critics),
+            temperature_optimiser=_moments(self.temperature_learning_rate, log_temperature),
             value_bounds=jnp.asarray(bounds, dtype=jnp.float32),
             side=side,
         )
@@ -171,7 +185,7 @@ class EnsembleSAC(Algorithm):
         next_values = jnp.min(state.target_critics(batch.next_observations, next_actions), axis=0)
         if self.entropy_in_backup:
             next_values = next_values - jnp.exp(state.log_temperature) * log_density
-        y = bellman_target(batch.rewards, batch.terminated, next_values, self.discount)
+        y = bellman_target(batch.rewards, batch.terminated, next_values, self.discount**self.return_steps)
         return jnp.clip(y, state.value_bounds[0], state.value_bounds[1])
 
     def critic_gradient(
@@ -278,6 +292,10 @@ class EnsembleSAC(Algorithm):
             value_bounds=state.value_bounds,
             step=state.step,
         )
+
+
+def _moments(rate: float, parameters: PyTree) -> optax.OptState:
+    return optax.adam(rate).init(parameters)
 
 
 def _adam(rate: float, gradient: PyTree, moments: optax.OptState, parameters: PyTree) -> tuple[PyTree, optax.OptState]:

@@ -19,7 +19,7 @@ from odaf.training.files import write_json
 DATA_SEED = 0
 EPISODES = 50
 EVALUATE_EVERY = 5_000
-CHECKPOINT_EVERY = 2_500
+CHECKPOINT_EVERY = 5_000
 LOCAL = "locally generated data"
 
 
@@ -45,15 +45,15 @@ def plan() -> list[list[StudyRun]]:
         return [StudyRun(preset, maze, seed, steps) for seed in range(seeds)]
 
     return [
-        runs("odaf", "stitch", 4, 20_000),
         [
-            *runs("odaf", "stitch", 2, 50_000),
-            *runs("odaf", "crossroads", 2, 20_000),
+            *runs("odaf", "stitch", 4, 20_000),
             *runs("behaviour-cloning", "stitch", 4, 20_000),
-            *runs("behaviour-cloning", "crossroads", 2, 20_000),
+            *runs("odaf", "crossroads", 2, 20_000),
             *runs("odaf-without-outcome", "stitch", 4, 20_000),
+            *runs("behaviour-cloning", "crossroads", 2, 20_000),
         ],
         [
+            *runs("odaf", "stitch", 2, 50_000),
             *runs("odaf-without-outcome", "stitch", 2, 50_000),
             *runs("odaf-paper", "stitch", 2, 20_000),
         ],

@@ -61,7 +61,7 @@ class OODPessimism(Term):
         """lambda_t: linear decay that stops at its final value."""
         if self.decay_steps == 0:
             return jnp.asarray(self.deviations)
-        share = jnp.minimum(step.astype(jnp.float32) / self.decay_steps, 1.0)
+        share = jnp.minimum(step / self.decay_steps, 1.0)
         return self.deviations + (self.final_deviations - self.deviations) * share
 
     def critic_loss(self, context: Context, side: PyTree, key: PRNGKeyArray) -> tuple[Float[Array, ""], Metrics]:

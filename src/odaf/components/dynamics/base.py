@@ -8,6 +8,9 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 
+from odaf.components.networks import MLP
+from odaf.errors import ConfigError
+
 
 @dataclasses.dataclass(frozen=True)
 class DynamicsConfig:
@@ -38,6 +41,23 @@ class DynamicsConfig:
     encoder: Literal["state-action", "transition"] = "state-action"
     """What the cvae's encoder sees: (s, a) as printed in the paper, or (s, a, s'), a true posterior."""
 
+    def __post_init__(self) -> None:
+        counts = ("steps", "batch_size", "members", "elites", "latent_dim")
+        for field in counts:
+            if getattr(self, field) < 1:
+                raise ConfigError(f"dynamics.{field}={getattr(self, field)} must be at least 1")
+        if not self.hidden_sizes or min(self.hidden_sizes) < 1:
+            raise ConfigError(f"dynamics.hidden_sizes={self.hidden_sizes} must be one or more widths of at least 1")
+        if self.kind == "ensemble" and self.elites > self.members:
+            raise ConfigError(
+                f"dynamics.elites={self.elites} cannot be kept of dynamics.members={self.members}; train more members"
+            )
+        if not 0.0 < self.holdout < 1.0:
+            raise ConfigError(
+                f"dynamics.holdout={self.holdout} must lie between 0 and 1: without episodes to check on, "
+                "nobody knows whether the model is better than none"
+            )
+
 
 class DynamicsModel(eqx.Module):
     """Predicts the next state from a state and an action, all in normalised units.
@@ -45,7 +65,7 @@ class DynamicsModel(eqx.Module):
     Randomness comes in as explicit noise, so that a caller who scored several draws can evaluate a chosen one again.
     """
 
-    network: eqx.AbstractVar[eqx.Module]
+    network: eqx.AbstractVar[MLP]
     shift: eqx.AbstractVar[Float[Array, " obs_dim"]]
     scale: eqx.AbstractVar[Float[Array, " obs_dim"]]
     residual: eqx.AbstractVar[bool]

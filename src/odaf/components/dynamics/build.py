@@ -31,7 +31,7 @@ def untrained(
     hidden, inputs = config.hidden_sizes, obs_dim + act_dim
     if config.kind == "deterministic":
         network = init_mlp(key, (inputs, *hidden, obs_dim))
-        return DeterministicDynamics(network, shift, scale, config.residual)
+        return DeterministicDynamics(network=network, shift=shift, scale=scale, residual=config.residual)
     if config.kind == "ensemble":
         network = init_mlp(
             key,
@@ -40,11 +40,24 @@ def untrained(
             activation="silu",
             hidden_bias=0.0,
         )
-        bounds = jnp.full(obs_dim, LOG_VARIANCE_MAX), jnp.full(obs_dim, LOG_VARIANCE_MIN)
-        return GaussianEnsembleDynamics(network, *bounds, shift, scale, config.residual)
+        return GaussianEnsembleDynamics(
+            network=network,
+            log_variance_max=jnp.full(obs_dim, LOG_VARIANCE_MAX),
+            log_variance_min=jnp.full(obs_dim, LOG_VARIANCE_MIN),
+            shift=shift,
+            scale=scale,
+            residual=config.residual,
+        )
     key_encoder, key_decoder = jr.split(key)
     sees_target = config.encoder == "transition"
     condition = inputs + (obs_dim if sees_target else 0)
     encoder = init_mlp(key_encoder, (condition, *hidden, hidden[-1], 2 * config.latent_dim), hidden_bias=0.0)
     decoder = init_mlp(key_decoder, (inputs + config.latent_dim, *hidden, obs_dim), hidden_bias=0.0)
-    return CVAEDynamics(decoder, encoder, shift, scale, config.residual, sees_target)
+    return CVAEDynamics(
+        network=decoder,
+        encoder=encoder,
+        shift=shift,
+        scale=scale,
+        residual=config.residual,
+        sees_target=sees_target,
+    )

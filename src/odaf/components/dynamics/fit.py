@@ -9,13 +9,13 @@ import jax.numpy as jnp
 import jax.random as jr
 import numpy as np
 import optax
-from jaxtyping import PRNGKeyArray
+from jaxtyping import Array, PRNGKeyArray
 
 from odaf.components.dynamics.base import DynamicsConfig, DynamicsModel
 from odaf.components.dynamics.build import untrained
 from odaf.data.dataset import Dataset
 from odaf.data.normalisation import Normaliser
-from odaf.errors import DivergenceError
+from odaf.errors import DatasetError, DivergenceError
 
 STRETCH = 1_000
 HOLDOUT_ROWS = 20_000
@@ -41,6 +41,7 @@ def fit_dynamics(
 
     Raises:
         DivergenceError: the training loss stopped being finite.
+        DatasetError: the log has fewer than two rows whose successor is known.
     """
     key_split, key_init, key_bootstrap, key_train = jr.split(key, 4)
     train, holdout = _split_rows(dataset, config.holdout, key_split)
@@ -62,7 +63,7 @@ def fit_dynamics(
     moments = optimiser.init(_trainable(model)[0])
 
     @eqx.filter_jit(donate="all-except-first")
-    def stretch(data, model, moments, steps):
+    def stretch(data, model, moments, steps) -> Any:
         def step(carry, index):
             model, moments = carry
             key_draw, key_loss = jr.split(jr.fold_in(key_train, index))
@@ -78,11 +79,12 @@ def fit_dynamics(
 
         return jax.lax.scan(step, (model, moments), steps)
 
-    done = 0
+    done, training_loss = 0, float("nan")
     while done < config.steps:
         count = min(STRETCH, config.steps - done)
         (model, moments), losses = stretch(rows, model, moments, jnp.arange(done, done + count))
         done += count
+        training_loss = float(jnp.mean(losses))
         if not np.isfinite(float(losses[-1])):
             raise DivergenceError(
                 f"dynamics model ({config.kind}): the training loss is not finite after {done} steps; "
@@ -91,36 +93,38 @@ def fit_dynamics(
         progress(done, config.steps)
 
     model = model.finished(*check, config.elites)
-    return model, _report(config, model, check, float(jnp.mean(losses)))
+    return model, _report(config, model, check, training_loss)
 
 
 def _split_rows(dataset: Dataset, share: float, key: PRNGKeyArray) -> tuple[np.ndarray, np.ndarray]:
-    """Row indices of the training and hold-out episodes; at least one episode on each side when there are two."""
-    ends = np.append(dataset.episode_starts[1:], len(dataset))
-    episodes = len(ends)
+    """Row indices of the training and hold-out episodes, at least one on each side; a single episode is cut in time."""
     # a terminated row without a recorded successor repeats its own state; it would teach "no change"
     known = ~(dataset.terminated & np.all(dataset.observations == dataset.next_observations, axis=1))
-    if episodes == 1:
-        cut = int(len(dataset) * (1.0 - share))
-        every = np.arange(len(dataset))
-        return every[:cut][known[:cut]], every[cut:][known[cut:]]
-    order = np.asarray(jr.permutation(key, episodes))
-    count = min(max(1, round(share * episodes)), episodes - 1)
-    held = np.zeros(len(dataset), dtype=bool)
-    for episode in order[:count]:
-        held[dataset.episode_starts[episode] : ends[episode]] = True
-    return np.flatnonzero(known & ~held), np.flatnonzero(known & held)
+    rows_by_episode = np.split(np.arange(len(dataset)), dataset.episode_starts[1:])
+    usable = [rows[known[rows]] for rows in rows_by_episode if np.any(known[rows])]
+    if sum(len(rows) for rows in usable) < 2:
+        raise DatasetError(
+            f"dynamics model: of {len(dataset):,} rows {int(known.sum())} have a logged successor; at least 2 must; "
+            "log the state after each action (next_observations), or leave out the outcome term (outcome.weight=0)"
+        )
+    if len(usable) == 1:
+        rows = usable[0]
+        cut = min(max(1, int(len(rows) * (1.0 - share))), len(rows) - 1)
+        return rows[:cut], rows[cut:]
+    order = np.asarray(jr.permutation(key, len(usable)))
+    count = min(max(1, round(share * len(usable))), len(usable) - 1)
+    train, holdout = ([usable[index] for index in np.sort(side)] for side in (order[count:], order[:count]))
+    return np.concatenate(train), np.concatenate(holdout)
 
 
-def _normalised_rows(dataset: Dataset, normaliser: Normaliser, rows: np.ndarray):
+def _normalised_rows(dataset: Dataset, normaliser: Normaliser, rows: np.ndarray) -> tuple[Array, Array, Array]:
     low, high = dataset.action_low, dataset.action_high
     actions = 2.0 * (dataset.actions[rows] - low) / (high - low) - 1.0
-    columns = (
-        normaliser.normalise(dataset.observations[rows]),
-        actions,
-        normaliser.normalise(dataset.next_observations[rows]),
+    return (
+        jnp.asarray(normaliser.normalise(dataset.observations[rows]), dtype=jnp.float32),
+        jnp.asarray(actions, dtype=jnp.float32),
+        jnp.asarray(normaliser.normalise(dataset.next_observations[rows]), dtype=jnp.float32),
     )
-    return tuple(jnp.asarray(column, dtype=jnp.float32) for column in columns)
 
 
 def _with_output_scaling(model: DynamicsModel, rows) -> DynamicsModel:

@@ -1,4 +1,4 @@
-"""Probabilistic ensemble (Chua et al. 2018; the form used by MOPO): Gaussian members, each on its own bootstrap sample."""
+"""Probabilistic ensemble (Chua et al. 2018, in MOPO's form): Gaussian members, each on its own bootstrap sample."""
 
 import equinox as eqx
 import jax
