@@ -9,6 +9,9 @@ Without terms this is SAC-N (An et al. 2021): the target is the minimum over K c
 and every term adds its own loss to L_pi, to L_Q or to both. All losses of one update are taken at the parameters from
 before it (the order of the EDAC, RORL and ODAF codes); then the slow copies move.
 
+With `return_steps` n above 1, r is the discounted sum of the next n logged rewards, s' the state n steps on, and the
+discount of the target its n-th power.
+
 Differs from SAC-N by default: layer-normalised critics, targets clipped to the range that the rewards allow, and no
 entropy in the target. Each is a field. docs/algorithms/odaf.md shows what each of them does.
 """
