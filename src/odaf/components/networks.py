@@ -88,7 +88,7 @@ def init_mlp(
             like a hidden one with a zero bias.
 
     Source:
-        Hidden weights uniform in +-1/sqrt(fan_in) with biases 0.1 and a small uniform last layer: what the authors' codes
+        Hidden weights uniform in +-1/sqrt(fan_in), biases 0.1 and a small uniform last layer: what the authors' codes
         of EDAC, RORL and ODAF use for their Q-ensembles.
     """
     stack = () if members is None else (members,)
