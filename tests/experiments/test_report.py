@@ -153,6 +153,7 @@ def test_mazes_show_stitched_paths_apart_from_others(comparison):
     assert odaf.count("stroke: var(--stitched)") >= 60 and "stroke: var(--detour)" not in odaf
     assert "10 of 100 stitch; 60 drawn." in cloned and "stroke: var(--detour)" in cloned
     assert "100 of 100 stitch" in odaf
+    assert ("svg", "aria-label", "Paths of odaf in the maze stitch") in page.attributes
     for letter in "SMGAB":
         assert re.search(rf">{letter}</text>", odaf)
 
