@@ -1,7 +1,7 @@
 """The main job in one command: log poor demonstrations, learn from them, look at the policy that stitched them.
 
 Trains ODAF, the same learner without its outcome term, and behaviour cloning on one budget, evaluates each at its last
-checkpoint, and writes `report.html` and `summary.json`.
+checkpoint, and writes `report.html`, `maze.png` and `summary.json`.
 """
 
 import sys
@@ -32,6 +32,7 @@ def run(out: Path, steps: int = STEPS, workers: int | None = None) -> dict[str, 
     from odaf.data import Dataset
     from odaf.environments.stitch_data import generate
     from odaf.experiments import report
+    from odaf.experiments.figures import maze_figure
 
     start = time.perf_counter()
     seconds: dict[str, float] = {}
@@ -48,7 +49,9 @@ def run(out: Path, steps: int = STEPS, workers: int | None = None) -> dict[str, 
     for (preset, *_), record in run_jobs(_train, jobs, _workers() if workers is None else workers):
         methods[preset] = record["method"]
         seconds[preset] = record["seconds"]
-    report.build([out / preset for preset in METHODS], out / "report.html", title="ODAF stitches a maze")
+    directories = [out / preset for preset in METHODS]
+    report.build(directories, out / "report.html", title="ODAF stitches a maze")
+    maze_figure(directories, out / "maze.png", names=list(METHODS.values()))
     seconds["total"] = time.perf_counter() - start
 
     returns = dataset.episode_returns()

@@ -1,0 +1,66 @@
+"""Behaviour cloning against its formula."""
+
+import jax
+import jax.numpy as jnp
+import jax.random as jr
+import numpy as np
+
+from golden import networks, tiny
+from odaf.algorithms.behaviour_cloning import BehaviourCloning, cloning_loss
+
+
+def _initial(learner: BehaviourCloning):
+    return jax.jit(lambda key: learner.init(key, tiny.SPEC, ()))(jr.key(0))
+
+
+def test_the_loss_is_the_mean_over_rows_and_action_dimensions():
+    with tiny.exactly():
+        learner, batch = BehaviourCloning(hidden_sizes=(5, 4)), tiny.batch()
+        actor = tiny.filled(jax.eval_shape(lambda: learner.init(jr.key(0), tiny.SPEC, ()).actor))
+
+        def expected(actor) -> float:
+            actions = np.tanh(networks.mlp(actor.network, batch.observations))
+            return float(np.mean((actions - networks.numbers(batch.actions)) ** 2))
+
+        loss, gradient = jax.value_and_grad(cloning_loss)(actor, batch)
+        np.testing.assert_allclose(loss, expected(actor), rtol=1e-10)
+        tiny.assert_slopes(gradient, expected, actor)
+
+
+def test_training_finds_a_policy_that_can_be_cloned():
+    learner = BehaviourCloning(hidden_sizes=(32,), learning_rate=1e-2, batch_size=64)
+    rng = np.random.default_rng(0)
+    batch = tiny.batch(64)
+    wanted = np.tanh(np.asarray(batch.observations) @ rng.normal(size=(3, 2)).astype(np.float32))
+    batch = batch.__class__(
+        batch.observations, jnp.asarray(wanted), batch.rewards, batch.next_observations, batch.terminated
+    )
+
+    @jax.jit
+    def train(state):
+        return jax.lax.scan(lambda s, _: (learner.update(s, batch, jr.key(0))[0], None), state, length=500)[0]
+
+    state = train(_initial(learner))
+    assert int(state.step) == 500
+    assert float(cloning_loss(state.actor, batch)) < 1e-3  # 0.4 before training
+    np.testing.assert_allclose(learner.act(state, batch.observations), wanted, atol=0.15)
+
+
+def test_one_key_gives_one_course_of_training_bit_for_bit():
+    learner = BehaviourCloning(hidden_sizes=(5,))
+
+    @jax.jit
+    def train(key):
+        state = learner.init(key, tiny.SPEC, ())
+        return jax.lax.scan(lambda s, k: learner.update(s, tiny.batch(), k), state, jr.split(jr.key(5), 4))
+
+    (first, metrics), (again, _), (other, _) = (train(jr.key(key)) for key in (0, 0, 1))
+    assert set(metrics) == {"actor/loss"} and np.all(np.diff(metrics["actor/loss"]) < 0.0)
+    tiny.assert_same_bits(first, again)
+    assert not np.array_equal(first.actor.network.weights[0], other.actor.network.weights[0])
+
+
+def test_there_is_nothing_to_pretrain():
+    dataset = tiny.linear_dataset(episodes=2, length=3)
+    side, report = BehaviourCloning().pretrain(dataset, None, jr.key(0), lambda *_: None)  # type: ignore[arg-type]
+    assert side == () and report == {"warnings": []}
