@@ -7,6 +7,7 @@ import numpy as np
 
 from golden import networks, tiny
 from odaf.algorithms.behaviour_cloning import BehaviourCloning, cloning_loss
+from odaf.data.normalisation import Normaliser
 
 
 def _initial(learner: BehaviourCloning):
@@ -62,5 +63,7 @@ def test_one_key_gives_one_course_of_training_bit_for_bit():
 
 def test_there_is_nothing_to_pretrain():
     dataset = tiny.linear_dataset(episodes=2, length=3)
-    side, report = BehaviourCloning().pretrain(dataset, None, jr.key(0), lambda *_: None)  # type: ignore[arg-type]
+    side, report = BehaviourCloning().pretrain(
+        dataset, Normaliser.fit(dataset.observations), jr.key(0), lambda *_: None
+    )
     assert side == () and report == {"warnings": []}

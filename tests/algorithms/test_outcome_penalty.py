@@ -240,13 +240,14 @@ def test_the_critics_hear_nothing_of_the_term():
 
 
 def test_a_larger_box_holds_a_larger_worst_case():
+    """With one noise, and boxes in which a piecewise smooth U is nearly linear, so that the corner is the maximum."""
     with tiny.exactly():
-        term, context, side = _setting({"solver": "sample", "num_draws": 10, "include_centre": True})
+        term, context, side = _setting({"solver": "gradient"})
         worst = [
-            float(np.mean(dataclasses.replace(term, radius=radius).worst_case(context, side, jr.key(KEY))))
-            for radius in (0.0, 0.1, 1.0)
+            np.asarray(dataclasses.replace(term, radius=radius).worst_case(context, side, jr.key(KEY)))
+            for radius in (0.0, 1e-4, 2e-4)
         ]
-    assert worst[0] < worst[1] < worst[2]
+    assert np.all(worst[0] < worst[1]) and np.all(worst[1] < worst[2])
 
 
 def test_pretraining_fits_the_model_that_the_term_will_use():

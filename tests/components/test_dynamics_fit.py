@@ -172,7 +172,7 @@ def test_data_without_a_single_successor_is_refused():
         ({"holdout": 0.0}, "dynamics.holdout=0.0"),
         ({"holdout": 1.0}, "dynamics.holdout=1.0"),
         ({"elites": 0}, "dynamics.elites=0"),
-        ({"members": 3, "elites": 4}, "dynamics.elites=4"),
+        ({"kind": "ensemble", "members": 3, "elites": 4}, "dynamics.elites=4"),
         ({"latent_dim": 0}, "dynamics.latent_dim=0"),
         ({"hidden_sizes": (8, 0)}, "dynamics.hidden_sizes"),
         ({"hidden_sizes": ()}, "dynamics.hidden_sizes"),

@@ -5,6 +5,7 @@ are not repeated; a run that was stopped goes on from its last checkpoint.
 """
 
 import json
+import math
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -164,22 +165,33 @@ def _measure(job: tuple[StudyRun, Path, Path]) -> dict[str, Any]:
     study, out, work = job
     from odaf.evaluation import Rollouts
     from odaf.experiments import presets
-    from odaf.experiments.fit import fit
+    from odaf.experiments.fit import fit, resume
 
-    run = fit(
-        presets.load(study.preset),
-        _data_file(work, study.maze),
-        steps=study.steps,
-        seeds=[study.seed],
-        directory=work / f"{study.maze}-{study.preset}-seed{study.seed}",
-        evaluate=Rollouts(episodes=EPISODES, every=EVALUATE_EVERY),
-        checkpoint_every=CHECKPOINT_EVERY,
-        preset=study.preset,
-    )
+    directory = work / f"{study.maze}-{study.preset}-seed{study.seed}"
+    if _steps_of(directory) < study.steps:
+        run = resume(directory, study.steps)
+    else:
+        run = fit(
+            presets.load(study.preset),
+            _data_file(work, study.maze),
+            steps=study.steps,
+            seeds=[study.seed],
+            directory=directory,
+            evaluate=Rollouts(episodes=EPISODES, every=EVALUATE_EVERY),
+            checkpoint_every=CHECKPOINT_EVERY,
+            preset=study.preset,
+        )
     record = _record(study, run)
     out.mkdir(parents=True, exist_ok=True)
     write_json(out / f"{study.name}.json", record)
     return record
+
+
+def _steps_of(directory: Path) -> float:
+    """Updates that the run in `directory` was made for; infinity where there is none to make longer."""
+    from odaf.experiments.fit import load_run
+
+    return load_run(directory).config["steps"] if (directory / "config.json").exists() else math.inf
 
 
 def _data_file(work: Path, maze: str) -> Path:
