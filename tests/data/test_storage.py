@@ -117,6 +117,7 @@ def test_fingerprint_is_that_of_the_documented_bytes():
         array = getattr(dataset, name)
         digest.update(f"{name} {kind} {array.shape}\n".encode() + array.tobytes())
     content = {name: list(getattr(dataset, name)) for name in ("observation_names", "action_names")}
+    content |= {"observation_units": [""] * 3, "action_units": [""] * 2}
     text = json.dumps({**content, "provenance": dataset.provenance}, sort_keys=True, separators=(",", ":")).encode()
     digest.update(b"metadata %d\n" % len(text) + text)
     assert dataset.fingerprint() == digest.hexdigest()

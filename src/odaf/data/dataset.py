@@ -3,7 +3,7 @@
 import json
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import InitVar, dataclass, replace
+from dataclasses import InitVar, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from odaf.errors import DatasetError
 
 COLUMNS = ("observations", "actions", "rewards", "next_observations", "terminated", "truncated")
 ARRAYS = (*COLUMNS, "episode_starts", "action_low", "action_high")
+_INFO = "infos/"
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +41,9 @@ class Dataset:
         observation_names: one per observation column.
         action_names: one per action column.
         provenance: JSON types only: where the rows came from, and under "findings" what was changed on the way in.
+        observation_units: one per observation column, for instance "m/s"; empty where none was given.
+        action_units: one per action column.
+        infos: further columns that learners do not see, by name: each [N, ...] numbers or bool, such as `qpos`.
     """
 
     observations: np.ndarray
@@ -54,15 +58,18 @@ class Dataset:
     observation_names: tuple[str, ...]
     action_names: tuple[str, ...]
     provenance: dict[str, Any]
+    observation_units: tuple[str, ...] | None = None
+    action_units: tuple[str, ...] | None = None
+    infos: Mapping[str, np.ndarray] = field(default_factory=dict)
     source: InitVar[str] = "Dataset"  # how messages name these rows
 
     def __post_init__(self, source: str):
         own: dict[str, Any] = {}
-        for field in ("observations", "actions", "next_observations"):
-            own[field] = validation.matrix(source, field, getattr(self, field))
+        for name in ("observations", "actions", "next_observations"):
+            own[name] = validation.matrix(source, name, getattr(self, name))
         own["rewards"] = validation.vector(source, "rewards", self.rewards)
-        for field in ("terminated", "truncated"):
-            own[field] = validation.flags(source, field, getattr(self, field))
+        for name in ("terminated", "truncated"):
+            own[name] = validation.flags(source, name, getattr(self, name))
         rows = validation.same_length(source, own)
         validation.same_width(source, own["observations"], own["next_observations"])
         obs_dim, act_dim = own["observations"].shape[1], own["actions"].shape[1]
@@ -70,6 +77,9 @@ class Dataset:
             source, "observation_names", self.observation_names, obs_dim, "observation"
         )
         own["action_names"] = validation.names(source, "action_names", self.action_names, act_dim, "action")
+        own["observation_units"] = validation.units(source, "observation_units", self.observation_units, obs_dim)
+        own["action_units"] = validation.units(source, "action_units", self.action_units, act_dim)
+        own["infos"] = validation.infos(source, self.infos, rows)
         bounds = validation.action_bounds(
             source, own["actions"], own["action_names"], (self.action_low, self.action_high)
         )
@@ -83,10 +93,11 @@ class Dataset:
         own["episode_starts"] = episodes.check_starts(source, self.episode_starts, rows)
         episodes.check_ends(source, own["episode_starts"], own["terminated"], own["truncated"])
         own["provenance"] = _plain_json(source, self.provenance)
-        for field, value in own.items():
+        for value in (*own.values(), *own["infos"].values()):
             if isinstance(value, np.ndarray):
                 value.setflags(write=False)
-            object.__setattr__(self, field, value)
+        for name, value in own.items():
+            object.__setattr__(self, name, value)
 
     @classmethod
     def from_arrays(
@@ -102,6 +113,9 @@ class Dataset:
         action_bounds: validation.Bounds | None = None,
         observation_names: Sequence[str] | None = None,
         action_names: Sequence[str] | None = None,
+        observation_units: Sequence[str] | None = None,
+        action_units: Sequence[str] | None = None,
+        infos: Mapping[str, Any] | None = None,
         provenance: Mapping[str, Any] | None = None,
         source: str = "Dataset.from_arrays",
     ) -> "Dataset":
@@ -123,6 +137,9 @@ class Dataset:
                 smallest and largest logged action, which is recorded as a finding.
             observation_names: one per column; None numbers them.
             action_names: one per column; None numbers them.
+            observation_units: one per column, for instance "m/s"; None leaves them empty.
+            action_units: one per column.
+            infos: further columns to keep beside the rows, {name: [N, ...]}; learners do not see them.
             provenance: JSON types, stored with the data.
             source: how error messages name these rows, for instance a file name.
 
@@ -137,10 +154,11 @@ class Dataset:
         }
         if next_observations is not None:
             columns["next_observations"] = validation.matrix(source, "next_observations", next_observations)
-        for field, values in (("terminated", terminated), ("truncated", truncated)):
+        for name, values in (("terminated", terminated), ("truncated", truncated)):
             if values is not None:
-                columns[field] = validation.flags(source, field, values)
+                columns[name] = validation.flags(source, name, values)
         rows = validation.same_length(source, columns)
+        extra = validation.infos(source, infos or {}, rows)
         if "next_observations" in columns:
             validation.same_width(source, columns["observations"], columns["next_observations"])
         if episode is not None:
@@ -172,7 +190,9 @@ class Dataset:
                     "message": f"actions moved onto the bounds they miss by rounding, {validation.name_rows(strays)}",
                 }
             )
+        columns |= {f"{_INFO}{name}": values for name, values in extra.items()}  # so that they lose the same rows
         starts = episodes.complete(source, columns, episode, findings)
+        extra = {name: columns.pop(f"{_INFO}{name}") for name in extra}
 
         provenance = dict(provenance or {})
         provenance["findings"] = [*provenance.get("findings", []), *findings]
@@ -185,6 +205,9 @@ class Dataset:
                 source, "observation_names", observation_names, columns["observations"].shape[1], "observation"
             ),
             action_names=action_names,
+            observation_units=None if observation_units is None else tuple(observation_units),
+            action_units=None if action_units is None else tuple(action_units),
+            infos=extra,
             provenance=provenance,
             source=source,
         )
@@ -288,7 +311,7 @@ class Dataset:
         """SHA-256 (hex) over names, types, shapes and bytes of all arrays and the metadata; equal data, equal print."""
         from odaf.data import storage
 
-        return storage.checksum({name: getattr(self, name) for name in ARRAYS}, storage.metadata(self))
+        return storage.checksum(storage.arrays_of(self), storage.metadata(self))
 
     def summary(self) -> dict[str, Any]:
         """Counts, returns and provenance in JSON types. Returns are undiscounted sums per episode."""
@@ -304,6 +327,9 @@ class Dataset:
             "terminal_share": float(self.terminated[self._episode_stops() - 1].mean()),
             "observation_names": list(self.observation_names),
             "action_names": list(self.action_names),
+            "observation_units": list(self.observation_units or ()),
+            "action_units": list(self.action_units or ()),
+            "infos": sorted(self.infos),
             "action_low": self.action_low.tolist(),
             "action_high": self.action_high.tolist(),
             "provenance": _plain_json("Dataset.summary", self.provenance),
@@ -316,7 +342,8 @@ class Dataset:
             raise DatasetError("Dataset.select: no episode was chosen; a dataset needs at least one")
         rows = np.concatenate([np.arange(part.start, part.stop) for part in slices])
         lengths = np.array([part.stop - part.start for part in slices])
-        columns = {field: getattr(self, field)[rows] for field in COLUMNS}
+        columns: dict[str, Any] = {name: getattr(self, name)[rows] for name in COLUMNS}
+        columns["infos"] = {name: values[rows] for name, values in self.infos.items()}
         return replace(self, **columns, episode_starts=np.cumsum(lengths) - lengths, source="Dataset.select")
 
     def split(self, holdout: float = 0.2, seed: int = 0) -> tuple["Dataset", "Dataset"]:

@@ -1,8 +1,9 @@
 """Our own file format: HDF5 with a version and a checksum, written atomically, read without running code.
 
 Layout, version 1: root attributes `format` = "odaf-dataset", `version` = 1, `sha256`; one data set per array of
-`Dataset` under its own name; and `metadata`, a JSON text with the column names and the provenance. The checksum covers
-names, types, shapes and bytes of all arrays and the metadata, not the HDF5 packing around them.
+`Dataset` under its own name; `infos/NAME` for each further column; and `metadata`, a JSON text with the names and units
+of the columns and the provenance. The checksum covers names, types, shapes and bytes of all arrays and the metadata,
+not the HDF5 packing around them.
 """
 
 import contextlib
@@ -11,7 +12,7 @@ import json
 import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import h5py
 import numpy as np
@@ -36,6 +37,7 @@ _FIELDS = {
     "action_low": ("<f4", 1),
     "action_high": ("<f4", 1),
 }
+_TEXTS = ("observation_names", "action_names", "observation_units", "action_units")
 
 
 def write(dataset: "Dataset", path: str | os.PathLike[str]) -> None:
@@ -46,7 +48,7 @@ def write(dataset: "Dataset", path: str | os.PathLike[str]) -> None:
     """
     path = Path(path)
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    arrays = {name: getattr(dataset, name) for name in _FIELDS}
+    arrays = arrays_of(dataset)
     text = metadata(dataset)
     try:
         try:
@@ -55,8 +57,9 @@ def write(dataset: "Dataset", path: str | os.PathLike[str]) -> None:
                 file.attrs["format"] = FORMAT
                 file.attrs["version"] = VERSION
                 file.attrs["sha256"] = checksum(arrays, text)
-                for name, (dtype, _) in _FIELDS.items():
-                    file.create_dataset(name, data=arrays[name].astype(dtype, copy=False))
+                for name, array in arrays.items():
+                    dtype = _FIELDS[name][0] if name in _FIELDS else array.dtype.newbyteorder("<")
+                    file.create_dataset(name, data=array.astype(dtype, copy=False))
                 file.create_dataset("metadata", data=text)
             with open(partial, "rb+") as handle:
                 os.fsync(handle.fileno())
@@ -147,6 +150,7 @@ def read(file: h5py.File, source: str) -> "Dataset":
         raise DatasetError(f"{source}: attribute 'sha256' is missing, so damage could not be noticed; copy it again")
     with reading(source):
         arrays = {name: _field(file, source, name, dtype, axes) for name, (dtype, axes) in _FIELDS.items()}
+        arrays |= {f"infos/{name}": read_array(file, source, f"infos/{name}") for name in _info_names(file, source)}
         text = _metadata_text(file, source)
     rows = len(arrays["observations"])
     for name in ("actions", "rewards", "next_observations", "terminated", "truncated"):
@@ -163,31 +167,43 @@ def read(file: h5py.File, source: str) -> "Dataset":
         )
     try:
         names = json.loads(text)
-        observation_names, action_names = tuple(names["observation_names"]), tuple(names["action_names"])
+        observation_names, action_names, observation_units, action_units = (tuple(names[field]) for field in _TEXTS)
         provenance = dict(names["provenance"])
     except (ValueError, KeyError, TypeError) as error:
         raise DatasetError(
             f"{source}: field 'metadata' cannot be read ({type(error).__name__}: {error}); generate the file again"
         ) from error
+    infos = {name.removeprefix("infos/"): arrays.pop(name) for name in list(arrays) if name not in _FIELDS}
     return Dataset(
-        **arrays, observation_names=observation_names, action_names=action_names, provenance=provenance, source=source
+        **arrays,
+        observation_names=observation_names,
+        action_names=action_names,
+        observation_units=observation_units,
+        action_units=action_units,
+        infos=infos,
+        provenance=provenance,
+        source=source,
     )
+
+
+def arrays_of(dataset: "Dataset") -> dict[str, np.ndarray]:
+    """Every array of the file, in its order: those of `Dataset`, then its infos by name."""
+    arrays = {name: getattr(dataset, name) for name in _FIELDS}
+    return arrays | {f"infos/{name}": dataset.infos[name] for name in sorted(dataset.infos)}
 
 
 def metadata(dataset: "Dataset") -> str:
     """Column names and provenance as canonical JSON: sorted keys, no spaces."""
-    content = {
-        "observation_names": list(dataset.observation_names),
-        "action_names": list(dataset.action_names),
-        "provenance": dataset.provenance,
-    }
+    content: dict[str, Any] = {field: list(getattr(dataset, field)) for field in _TEXTS}
+    content["provenance"] = dataset.provenance
     return json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
 
 
 def checksum(arrays: Mapping[str, np.ndarray], text: str) -> str:
     """SHA-256 (hex) over the arrays in the order of the format, each after its name, type and shape, then `text`."""
     digest = hashlib.sha256()
-    for name, (dtype, _) in _FIELDS.items():
+    for name in (*_FIELDS, *sorted(set(arrays) - set(_FIELDS))):
+        dtype = _FIELDS[name][0] if name in _FIELDS else arrays[name].dtype.newbyteorder("<")
         array = np.ascontiguousarray(arrays[name], dtype=dtype)
         digest.update(f"{name} {array.dtype.str} {array.shape}\n".encode())
         digest.update(array.tobytes())
@@ -233,6 +249,15 @@ def _field(file: h5py.File, source: str, name: str, dtype: str, axes: int) -> np
             f"{source}: field '{name}' has shape {array.shape}, expected {axes} axes; generate the file again with odaf"
         )
     return array
+
+
+def _info_names(file: h5py.File, source: str) -> list[str]:
+    if "infos" not in file:
+        return []
+    group = file["infos"]
+    if not isinstance(group, h5py.Group):
+        raise DatasetError(f"{source}: field 'infos' is no group of columns; generate the file again with odaf")
+    return sorted(group.keys())
 
 
 def _metadata_text(file: h5py.File, source: str) -> str:

@@ -170,6 +170,34 @@ def names(source: str, field: str, given: Sequence[str] | None, count: int, pref
     return result
 
 
+def units(source: str, field: str, given: Sequence[str] | None, count: int) -> tuple[str, ...]:
+    """One unit per column, such as "m/s"; empty texts where none are given."""
+    if given is None:
+        return ("",) * count
+    result = tuple(given)
+    if isinstance(given, str) or len(result) != count or not all(isinstance(unit, str) for unit in result):
+        raise DatasetError(f"{source}: {field} must be {count} texts, one per column; got {given!r}")
+    return result
+
+
+def infos(source: str, columns: Mapping[str, Any], rows: int) -> dict[str, np.ndarray]:
+    """Further columns by name, copied: real numbers or bool with one entry per step."""
+    own: dict[str, np.ndarray] = {}
+    for name, values in columns.items():
+        if not isinstance(name, str) or not name or "/" in name or name.startswith("."):
+            raise DatasetError(
+                f"{source}: infos: name {name!r} must be a non-empty text without a slash or leading dot"
+            )
+        array = np.array(numbers(source, f"infos/{name}", values))
+        if array.ndim == 0 or len(array) != rows:
+            raise DatasetError(
+                f"{source}: field 'infos/{name}' has shape {array.shape}, but there are {rows:,} rows; "
+                "give one entry per step"
+            )
+        own[name] = array
+    return own
+
+
 def _one_per_row(source: str, field: str, array: np.ndarray) -> np.ndarray:
     if array.ndim == 2 and array.shape[1] == 1:
         return array[:, 0]

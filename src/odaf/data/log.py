@@ -1,0 +1,97 @@
+"""Logged rows as their source holds them, before any judgement: what every reader returns.
+
+A reader finds columns and says what they mean; it neither repairs nor drops. `odaf.data.checks` judges a log,
+`to_dataset` turns it into a `Dataset` or refuses it.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+from odaf.data.validation import Bounds
+
+if TYPE_CHECKING:
+    from odaf.data.dataset import Dataset
+
+REQUIRED = ("observations", "actions", "rewards")
+OPTIONAL = ("next_observations", "terminated", "truncated", "episode", "time")
+
+
+class Column(Protocol):
+    """A NumPy array, a memory map, or an array in a file that is read piece by piece."""
+
+    @property
+    def shape(self) -> tuple[int, ...]: ...
+
+    @property
+    def dtype(self) -> Any: ...
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, key: Any, /) -> Any: ...
+
+
+@dataclass(frozen=True, eq=False)
+class Log:
+    """Columns of equal meaning from any source; N rows in time order inside each episode.
+
+    Attributes:
+        columns: by field: `observations` [N, obs_dim], `actions` [N, act_dim], `rewards` [N] or [N, 1], and, where the
+            source has them, `next_observations` [N, obs_dim], `terminated` [N], `truncated` [N], `episode` [N] ids and
+            `time` [N] (seconds, or the number of the step). Types and lengths are those of the source, not yet checked.
+        source: how messages name it, for instance a file name.
+        format: the format's name, such as `d4rl`.
+        observation_names: one per column of `observations`, where known.
+        action_names: one per column of `actions`.
+        observation_units: one per column of `observations`.
+        action_units: one per column of `actions`.
+        action_bounds: (low, high) or {action name: (low, high)}, where known.
+        infos: further columns to keep beside the rows, by name.
+        provenance: JSON types: what the source says of itself.
+        findings: what the reader had to decide, in the form of `Dataset.provenance["findings"]`.
+        row_offset: the number of the first row in the source, as messages should give it; 2 for a CSV file with a heading.
+    """
+
+    columns: Mapping[str, Column]
+    source: str
+    format: str
+    observation_names: tuple[str, ...] | None = None
+    action_names: tuple[str, ...] | None = None
+    observation_units: tuple[str, ...] | None = None
+    action_units: tuple[str, ...] | None = None
+    action_bounds: Bounds | None = None
+    infos: Mapping[str, Column] = field(default_factory=dict)
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+    findings: tuple[Mapping[str, Any], ...] = ()
+    row_offset: int = 0
+
+    def __len__(self) -> int:
+        return len(self.columns["observations"])
+
+    def blocks(self, rows: int = 65_536) -> Iterator[tuple[int, dict[str, np.ndarray]]]:
+        """(first row, columns as arrays) of consecutive pieces, so that a log larger than memory can be passed over."""
+        for first in range(0, len(self), rows):
+            yield first, {name: np.asarray(column[first : first + rows]) for name, column in self.columns.items()}
+
+    def to_dataset(self) -> "Dataset":
+        """The log as a dataset in memory.
+
+        Raises:
+            DatasetError: as `Dataset.from_arrays`.
+        """
+        from odaf.data.dataset import Dataset
+
+        arrays = {name: np.asarray(column[:]) for name, column in self.columns.items() if name != "time"}
+        return Dataset.from_arrays(
+            **arrays,
+            action_bounds=self.action_bounds,
+            observation_names=self.observation_names,
+            action_names=self.action_names,
+            observation_units=self.observation_units,
+            action_units=self.action_units,
+            infos={name: np.asarray(column[:]) for name, column in self.infos.items()},
+            provenance={**self.provenance, "format": self.format, "findings": list(self.findings)},
+            source=self.source,
+        )

@@ -1,0 +1,69 @@
+"""Files in the layouts that people have, each read by a module of its own into a `Log`.
+
+A module offers `read(path, *, ...) -> Log` with keyword options, and never runs code from a file. This file tells which
+layout a file is in and hands the options on.
+"""
+
+import inspect
+import os
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from odaf.data.log import Log
+from odaf.errors import DatasetError
+
+
+@dataclass(frozen=True)
+class Format:
+    """One layout: its name on the command line, what people call it, and the module that reads it."""
+
+    name: str
+    title: str
+    module: str
+
+
+FORMATS: dict[str, Format] = {
+    entry.name: entry
+    for entry in (
+        Format("d4rl", "D4RL HDF5", "odaf.data.readers.d4rl"),
+        Format("minari", "Minari folder (HDF5 or Arrow)", "odaf.data.readers.minari"),
+        Format("ogbench", "OGBench .npz", "odaf.data.readers.ogbench"),
+        Format("d3rlpy", "d3rlpy's buffer file", "odaf.data.readers.d3rlpy"),
+        Format("lerobot", "LeRobot folder of Parquet files", "odaf.data.readers.lerobot"),
+        Format("parquet", "Parquet table", "odaf.data.readers.tables"),
+        Format("csv", "CSV table", "odaf.data.readers.tables"),
+    )
+}
+
+
+def read(path: str | os.PathLike[str], format: str | None = None, **options: Any) -> Log:
+    """The log in a file or folder.
+
+    Args:
+        path: file or folder.
+        format: a name in `FORMATS`; None tells it from the contents.
+        options: of the layout's own reader, such as `observations=[...]` for tables.
+
+    Raises:
+        DatasetError: there is nothing at `path`, its layout is unknown or unsafe, an option does not belong to the
+            layout, or the reader refuses the contents.
+    """
+    name = detect(path) if format is None else format
+    if name not in FORMATS:
+        raise DatasetError(f"{os.fspath(path)}: format {name!r} is unknown; known are {', '.join(FORMATS)}")
+    function = import_module(FORMATS[name].module).read
+    known = [p.name for p in inspect.signature(function).parameters.values() if p.kind is p.KEYWORD_ONLY]
+    unknown = sorted(set(options) - set(known))
+    if unknown:
+        raise DatasetError(
+            f"{os.fspath(path)}: option {unknown[0]!r} does not apply to {FORMATS[name].title}; "
+            f"it takes {', '.join(known) or 'none'}"
+        )
+    return function(Path(path), **options)
+
+
+def detect(path: str | os.PathLike[str]) -> str:
+    """The name of the layout, told from the contents."""
+    raise DatasetError(f"{os.fspath(path)}: unknown layout")
