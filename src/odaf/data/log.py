@@ -51,7 +51,7 @@ class Log:
         infos: further columns to keep beside the rows, by name.
         provenance: JSON types: what the source says of itself.
         findings: what the reader had to decide, in the form of `Dataset.provenance["findings"]`.
-        row_offset: the number of the first row in the source, as messages should give it; 2 for a CSV file with a heading.
+        row_offset: number of the first row in the source, as messages should give it; 2 for a CSV file with a heading.
     """
 
     columns: Mapping[str, Column]
