@@ -1,0 +1,44 @@
+"""`odaf behaviour train`: make the behaviour policies that locomotion data are recorded from."""
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from odaf.cli.interrupts import repeatable
+from odaf.cli.options import parse
+
+
+@dataclass(frozen=True)
+class TrainOptions:
+    """Train a behaviour policy online, with truncated quantile critics. A run that was stopped goes on."""
+
+    task: tyro.conf.Positional[Literal["halfcheetah", "hopper", "walker2d"]]
+    """What to learn."""
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
+    """Directory of the run."""
+    steps: int = 1_000_000
+    """Environment steps; one update each after the first 10,000."""
+    seed: int = 0
+    """The same seed gives the same bits on the same machine and versions."""
+    version: Literal["v4", "v5"] = "v4"
+    """Environment version."""
+    core: Annotated[int | None, tyro.conf.arg(metavar="INT")] = None
+    """Stay on this processor core, so that runs side by side do not fight over threads."""
+
+
+def train(arguments: list[str]) -> None:
+    """Entry point of `odaf behaviour train`."""
+    options = parse(TrainOptions, arguments, "behaviour train")
+    if options.core is not None and hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, {options.core})  # before an array library counts the cores
+
+    from odaf.experiments.behaviour.online import OnlineRun
+    from odaf.experiments.behaviour.online import train as train_online
+    from odaf.training.progress import default_progress
+
+    run = OnlineRun(options.task, options.version, options.seed, options.steps)
+    with repeatable():
+        train_online(run, options.out, default_progress(True))

@@ -1,0 +1,42 @@
+"""A tanh-Gaussian policy in plain NumPy: what acts in the simulator, on its own or in a shipped file."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from odaf.components.policies import LOG_STD_MAX, LOG_STD_MIN
+
+
+@dataclass(frozen=True)
+class GaussianPolicy:
+    """obs -> hidden layers with ReLU -> mean and log standard deviation before the tanh.
+
+    Attributes:
+        weights: `(in, out)` each.
+        biases: `(out,)` each.
+    """
+
+    weights: Sequence[np.ndarray]
+    biases: Sequence[np.ndarray]
+
+    def parameters(self, observations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Mean and log standard deviation, clipped to [-5, 2], of the Gaussian before squashing."""
+        x = np.asarray(observations, dtype=np.float32)
+        last = len(self.weights) - 1
+        for index, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
+            x = x @ weight
+            x += bias
+            if index < last:
+                np.maximum(x, 0.0, out=x)
+        half = x.shape[-1] // 2
+        return x[..., :half], np.clip(x[..., half:], LOG_STD_MIN, LOG_STD_MAX)
+
+    def mode(self, observations: np.ndarray) -> np.ndarray:
+        """Deterministic action tanh(mean)."""
+        return np.tanh(self.parameters(observations)[0])
+
+    def sample(self, observations: np.ndarray, noise: np.ndarray) -> np.ndarray:
+        """Action in (-1, 1) for given standard normal noise."""
+        mean, log_std = self.parameters(observations)
+        return np.tanh(mean + np.exp(log_std) * noise)

@@ -1,0 +1,108 @@
+"""The locomotion tasks HalfCheetah, Hopper and Walker2d, driven directly: no wrapper between us and the simulator."""
+
+import warnings
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from odaf.errors import ConfigError
+
+VERSIONS = ("v4", "v5")
+TIME_LIMIT = 1000
+_EXTRA = 'pip install "odaf[envs]"'
+
+
+@dataclass(frozen=True)
+class Task:
+    """One locomotion task.
+
+    Attributes:
+        name: what users type.
+        family: Gymnasium's name without the version.
+        obs_dim: numbers in an observation.
+        act_dim: numbers in an action, each in [-1, 1].
+        positions: numbers in the simulator's `qpos`; `qvel` has as many.
+    """
+
+    name: str
+    family: str
+    obs_dim: int
+    act_dim: int
+    positions: int
+
+    def environment_id(self, version: str) -> str:
+        """Gymnasium's name, such as `Hopper-v4`."""
+        return f"{self.family}-{version}"
+
+
+TASKS = {
+    task.name: task
+    for task in (
+        Task("halfcheetah", "HalfCheetah", 17, 6, 9),
+        Task("hopper", "Hopper", 11, 3, 6),
+        Task("walker2d", "Walker2d", 17, 6, 9),
+    )
+}
+
+
+def task_of(name: str, version: str = "v4") -> Task:
+    """The task called `name`.
+
+    Raises:
+        ConfigError: there is no such task or version.
+    """
+    if name not in TASKS:
+        raise ConfigError(f"task '{name}' is not known; known are {', '.join(TASKS)}")
+    if version not in VERSIONS:
+        raise ConfigError(f"version '{version}' of {name} is not supported; supported are {', '.join(VERSIONS)}")
+    return TASKS[name]
+
+
+class Simulator:
+    """One body in the simulator: the bits of `gymnasium.make(ID)`, without its wrappers.
+
+    Observations are float64. `step` reports true ends only; the time limit (1,000 steps) is the caller's to keep.
+    """
+
+    def __init__(self, task: Task, version: str = "v4"):
+        self.task = task
+        self.environment_id = task.environment_id(version)
+        try:
+            import gymnasium
+            import mujoco
+        except ImportError as error:
+            raise ConfigError(
+                f"'{self.environment_id}' needs a simulator that is missing ({error}); {_EXTRA}"
+            ) from error
+        with warnings.catch_warnings():
+            warnings.simplefilter(
+                "ignore", DeprecationWarning
+            )  # v4 is old by intent: published scores were made with it
+            self._environment: Any = gymnasium.make(self.environment_id, disable_env_checker=True).unwrapped
+        self._mujoco: Any = mujoco
+        self._signature = mujoco.mjtState.mjSTATE_INTEGRATION  # type: ignore[attr-defined]
+        self._model, self._data = self._environment.model, self._environment.data
+
+    def reset(self, seed: int) -> np.ndarray:
+        """Starts an episode; the seed fixes the start."""
+        return self._environment.reset(seed=seed)[0]
+
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool]:
+        """Plays an action in [-1, 1]: next observation, reward, whether the task truly ended."""
+        observation, reward, terminated, _, _ = self._environment.step(action)
+        return observation, float(reward), bool(terminated)
+
+    def body(self) -> np.ndarray:
+        """`qpos` and `qvel` in one array, a copy."""
+        return np.concatenate([self._data.qpos, self._data.qvel])
+
+    def physics(self) -> np.ndarray:
+        """Everything the simulator needs to go on exactly from here."""
+        state = np.empty(self._mujoco.mj_stateSize(self._model, self._signature))
+        self._mujoco.mj_getState(self._model, self._data, state, self._signature)
+        return state
+
+    def restore(self, physics: np.ndarray) -> None:
+        """Goes back to a state that `physics` returned."""
+        self._mujoco.mj_setState(self._model, self._data, physics, self._signature)
