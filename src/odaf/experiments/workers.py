@@ -2,6 +2,8 @@
 
 import multiprocessing
 import os
+import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from typing import Any, TypeVar
@@ -14,6 +16,7 @@ def run_jobs(function: Callable[[Job], Any], jobs: Sequence[Job], workers: int) 
 
     With one worker everything happens in this process. With more, each worker process is bound to its share of the
     cores before it loads an array library, so that workers do not fight over threads; jobs start in the given order.
+    Workers end with this process, however it ends.
 
     Args:
         function: importable by name, so that a fresh process finds it.
@@ -31,7 +34,7 @@ def run_jobs(function: Callable[[Job], Any], jobs: Sequence[Job], workers: int) 
     numbers = context.Queue()
     for number in range(workers):
         numbers.put(number)
-    with ProcessPoolExecutor(workers, mp_context=context, initializer=_bind, initargs=(numbers, workers)) as pool:
+    with ProcessPoolExecutor(workers, mp_context=context, initializer=_begin, initargs=(numbers, workers)) as pool:
         futures = {pool.submit(function, job): job for job in jobs}
         try:
             for future in as_completed(futures):
@@ -39,6 +42,18 @@ def run_jobs(function: Callable[[Job], Any], jobs: Sequence[Job], workers: int) 
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
+
+
+def _begin(numbers: Any, workers: int) -> None:
+    threading.Thread(target=_leave_with_parent, args=(os.getppid(),), daemon=True).start()
+    _bind(numbers, workers)
+
+
+def _leave_with_parent(parent: int) -> None:
+    """End this process once its parent is gone: nobody is left to take its result."""
+    while os.getppid() == parent:
+        time.sleep(0.5)
+    os._exit(1)
 
 
 def _bind(numbers: Any, workers: int) -> None:
