@@ -21,6 +21,8 @@ class TrainOptions:
     """Directory of the run."""
     steps: int = 1_000_000
     """Environment steps; one update each after the first 10,000."""
+    batch_size: int = 256
+    """Transitions an update; half of it makes an update cost three fifths."""
     seed: int = 0
     """The same seed gives the same bits on the same machine and versions."""
     version: Literal["v4", "v5"] = "v4"
@@ -39,6 +41,6 @@ def train(arguments: list[str]) -> None:
     from odaf.experiments.behaviour.online import train as train_online
     from odaf.training.progress import default_progress
 
-    run = OnlineRun(options.task, options.version, options.seed, options.steps)
+    run = OnlineRun(options.task, options.version, options.seed, options.steps, batch_size=options.batch_size)
     with repeatable():
         train_online(run, options.out, default_progress(True))

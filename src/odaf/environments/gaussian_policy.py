@@ -1,10 +1,12 @@
-"""A tanh-Gaussian policy in plain NumPy: what acts in the simulator, on its own or in a shipped file."""
+"""A tanh-Gaussian policy in plain NumPy: what acts in the simulator, on its own or from a shipped file."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from odaf.components.distributions import LOG_TWO_PI, SQUASH_EPSILON
 from odaf.components.policies import LOG_STD_MAX, LOG_STD_MIN
 
 
@@ -15,13 +17,15 @@ class GaussianPolicy:
     Attributes:
         weights: `(in, out)` each.
         biases: `(out,)` each.
+        spread: factor on the standard deviation; 1 acts as trained.
     """
 
     weights: Sequence[np.ndarray]
     biases: Sequence[np.ndarray]
+    spread: float = 1.0
 
     def parameters(self, observations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Mean and log standard deviation, clipped to [-5, 2], of the Gaussian before squashing."""
+        """Mean and log standard deviation, clipped to [-5, 2] before the spread, of the Gaussian before squashing."""
         x = np.asarray(observations, dtype=np.float32)
         last = len(self.weights) - 1
         for index, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
@@ -30,7 +34,7 @@ class GaussianPolicy:
             if index < last:
                 np.maximum(x, 0.0, out=x)
         half = x.shape[-1] // 2
-        return x[..., :half], np.clip(x[..., half:], LOG_STD_MIN, LOG_STD_MAX)
+        return x[..., :half], np.clip(x[..., half:], LOG_STD_MIN, LOG_STD_MAX) + np.float32(math.log(self.spread))
 
     def mode(self, observations: np.ndarray) -> np.ndarray:
         """Deterministic action tanh(mean)."""
@@ -40,3 +44,10 @@ class GaussianPolicy:
         """Action in (-1, 1) for given standard normal noise."""
         mean, log_std = self.parameters(observations)
         return np.tanh(mean + np.exp(log_std) * noise)
+
+    def sample_with_density(self, observations: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The same action, and its log-density summed over action dimensions, in nats."""
+        mean, log_std = self.parameters(observations)
+        action = np.tanh(mean + np.exp(log_std) * noise)
+        correction = np.log(1.0 - np.square(action) + SQUASH_EPSILON)
+        return action, np.sum(-0.5 * (np.square(noise) + LOG_TWO_PI) - log_std - correction, axis=-1)

@@ -48,6 +48,8 @@ class OnlineRun:
     """Environment steps, the random ones included."""
     random_steps: int = 10_000
     """Steps with uniform actions before the first update."""
+    batch_size: int = 256
+    """Transitions an update; half of it makes an update cost three fifths."""
     stretch: int = 50
     """Steps played with one set of parameters, then as many updates in one compiled call."""
     evaluate_every: int = 25_000
@@ -68,7 +70,7 @@ class OnlineRun:
 
     def algorithm(self) -> TruncatedQuantileCritics:
         """The learner."""
-        return TruncatedQuantileCritics(dropped=DROPPED[self.task])
+        return TruncatedQuantileCritics(dropped=DROPPED[self.task], batch_size=self.batch_size)
 
 
 @dataclasses.dataclass
