@@ -1,5 +1,8 @@
 """A policy in the hands of its user."""
 
+import dataclasses
+import json
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -7,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from odaf import training
 from odaf.data.normalisation import Normaliser
 from odaf.errors import DatasetError
 from odaf.training.policy import Policy
@@ -67,3 +71,23 @@ def tiny_policy(_tiny_module):
 def test_wrong_observations_are_named(policy, observation, named):
     with pytest.raises(DatasetError, match=named):
         policy(observation)
+
+
+def test_names_and_units_come_from_the_data_and_older_runs_still_load(tiny, tmp_path):
+    dataset = dataclasses.replace(
+        tiny.tiny_dataset(),
+        action_names=("valve", "pump"),
+        observation_units=("m", "m³/s", "°C"),
+        action_units=("%", ""),
+    )
+    run = training.fit(tiny.TinyLearner(), dataset, steps=2, directory=tmp_path / "run", progress=False)
+    policy = run.policy(seed=0)
+    assert policy.observation_names == ("level", "flow", "heat") and policy.action_names == ("valve", "pump")
+    assert policy.observation_units == ("m", "m³/s", "°C") and policy.action_units == ("%", "")
+
+    file = tmp_path / "run" / "data.json"
+    data = json.loads(file.read_text())
+    for field in ("observation_units", "action_units"):
+        del data["summary"][field]
+    file.write_text(json.dumps(data))
+    assert training.RunDirectory(tmp_path / "run").policy(seed=0).observation_units == ()

@@ -29,6 +29,9 @@ class Policy:
         normaliser: the map of observations fitted on the training data.
         state: the learner's parameters.
         observation_names: one name per observation dimension, for calls with a dict.
+        action_names: one name per action dimension.
+        observation_units: one per observation dimension, as the log gave them; empty texts where it gave none.
+        action_units: one per action dimension.
     """
 
     algorithm: Algorithm
@@ -36,6 +39,9 @@ class Policy:
     normaliser: Normaliser
     state: Any
     observation_names: tuple[str, ...]
+    action_names: tuple[str, ...] = ()
+    observation_units: tuple[str, ...] = ()
+    action_units: tuple[str, ...] = ()
 
     def __call__(self, observation: np.ndarray | Sequence[Any] | Mapping[str, Any]) -> np.ndarray:
         """The action for one observation [obs_dim] or a batch [rows, obs_dim]; a dict gives each column by its name.

@@ -140,8 +140,13 @@ class RunDirectory:
 
     def policy(self, seed: int, step: int | None = None) -> Policy:
         """What the seed had learned after `step` updates, or at its last checkpoint; needs no dataset."""
-        names = tuple(self.data["summary"]["observation_names"])
-        return Policy(self.algorithm, self.spec, self.normaliser, self.state(seed, step), names)
+        return self.policy_of(self.state(seed, step))
+
+    def policy_of(self, state: Any) -> Policy:
+        """The policy of a learner's state, with the names and units of the data it learns from."""
+        fields = ("observation_names", "action_names", "observation_units", "action_units")
+        columns = {field: tuple(self.data["summary"].get(field, ())) for field in fields}
+        return Policy(self.algorithm, self.spec, self.normaliser, state, **columns)
 
     def metrics(self, seed: int) -> list[dict[str, Any]]:
         """The lines of the seed's `metrics.jsonl`; one torn by a kill is left out."""

@@ -17,7 +17,6 @@ from odaf.training.evaluator import Evaluator
 from odaf.training.files import write_json
 from odaf.training.logging import JsonLines, Logger
 from odaf.training.monitors import DivergenceMonitor, TrainingWarning
-from odaf.training.policy import Policy
 from odaf.training.progress import ProgressReport
 from odaf.training.run_directory import RunDirectory
 
@@ -169,9 +168,7 @@ class SeedTraining:
     def _measure(self, state: Any, evaluate: Evaluator, loggers: Sequence[Logger]) -> None:
         began = time.perf_counter()
         run = self.run
-        names = tuple(run.data["summary"]["observation_names"])
-        policy = Policy(run.algorithm, run.spec, run.normaliser, state, names)
-        found = evaluate(policy, self.directory, self.step)
+        found = evaluate(run.policy_of(state), self.directory, self.step)
         _add(self.record.seconds, "evaluate", time.perf_counter() - began)
         self.record.evaluation = {"step": self.step, **found.summary}
         for logger in loggers:
