@@ -14,7 +14,7 @@ from odaf.training.files import write_json
 
 METHODS = {"odaf": "odaf", "odaf-without-outcome": "odaf without its outcome term", "behaviour-cloning": "cloning"}
 DATA_SEED, TRAINING_SEED = 0, 0
-STEPS = 5_000
+STEPS = 10_000
 EPISODES = 50
 
 
