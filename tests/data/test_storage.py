@@ -145,8 +145,13 @@ def test_saving_into_a_missing_folder(tmp_path):
 def test_missing_file_and_folder(tmp_path):
     with pytest.raises(DatasetError, match=r"none.h5: there is no such file; check the path"):
         Dataset.load(tmp_path / "none.h5")
-    with pytest.raises(DatasetError, match="is a folder; name the HDF5 file inside it"):
+    with pytest.raises(DatasetError, match="is a folder of no known layout: .*: name the file inside it"):
         Dataset.load(tmp_path)
+    with (
+        pytest.raises(DatasetError, match="is a folder; name the HDF5 file inside it"),
+        storage.opened(tmp_path),
+    ):
+        pass
 
 
 def test_not_hdf5(tmp_path):
@@ -156,7 +161,9 @@ def test_not_hdf5(tmp_path):
         ("empty.h5", b"", "empty.h5: the file is empty"),
     ):
         (tmp_path / name).write_bytes(content)
-        with pytest.raises(DatasetError, match=message):
+        with pytest.raises(DatasetError, match=message), storage.opened(tmp_path / name):
+            pass
+        with pytest.raises(DatasetError, match=name):
             Dataset.load(tmp_path / name)
 
 

@@ -4,13 +4,17 @@ import json
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import InitVar, dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from odaf.data import episodes, validation
+from odaf.data.log import Log
 from odaf.data.spec import Spec
 from odaf.errors import DatasetError
+
+if TYPE_CHECKING:
+    from odaf.data.checks import Report
 
 COLUMNS = ("observations", "actions", "rewards", "next_observations", "terminated", "truncated")
 ARRAYS = (*COLUMNS, "episode_starts", "action_low", "action_high")
@@ -193,6 +197,8 @@ class Dataset:
         columns |= {f"{_INFO}{name}": values for name, values in extra.items()}  # so that they lose the same rows
         starts = episodes.complete(source, columns, episode, findings)
         extra = {name: columns.pop(f"{_INFO}{name}") for name in extra}
+        for column in columns.values():
+            column.setflags(write=False)  # so that the constructor need not copy it
 
         provenance = dict(provenance or {})
         provenance["findings"] = [*provenance.get("findings", []), *findings]
@@ -213,44 +219,135 @@ class Dataset:
         )
 
     @classmethod
+    def from_dataframe(
+        cls,
+        frame: Any,
+        *,
+        observations: Sequence[str],
+        actions: Sequence[str],
+        reward: str | float,
+        episode: str | int | None = None,
+        terminated: str | None = None,
+        truncated: str | None = None,
+        time: str | None = None,
+        next_observations: Sequence[str] | None = None,
+        action_bounds: validation.Bounds | None = None,
+        units: Mapping[str, str] | Literal["headings"] | None = None,
+        **options: Any,
+    ) -> "Dataset":
+        """Builds a dataset from named columns of a polars or pandas frame, or of a mapping from names to arrays.
+
+        Args:
+            frame: the table; rows in time order inside each episode.
+            observations: columns that say what was seen before the action.
+            actions: columns that say what was done.
+            reward: the column of what the action of the same row earned.
+            episode: the column of ids, equal for the rows of one episode; a number if all rows are one episode; None
+                if an episode ends at each row that is terminated or truncated.
+            terminated: the column that says where the task ended.
+            truncated: the column that says where the recording was cut.
+            time: the column of times; episodes end where rows are missing.
+            next_observations: columns of what was seen after the action. None takes those of the next row.
+            action_bounds: {column: (low, high)}. None takes the smallest and largest logged action.
+            units: {column: unit}, or "headings" to part headings such as `level [m]` into name and unit.
+            options: `sort_by`, `on_gap` and others, as in `odaf.data.readers.tables.read`.
+
+        Raises:
+            DatasetError: as `odaf.data.readers.tables.read` and `from_arrays`.
+        """
+        from odaf.data.readers import tables
+
+        log = tables.from_frame(
+            frame,
+            observations=observations,
+            actions=actions,
+            reward=reward,
+            episode=episode,
+            terminated=terminated,
+            truncated=truncated,
+            time=time,
+            next_observations=next_observations,
+            action_bounds=action_bounds,
+            units=units,
+            source="Dataset.from_dataframe",
+            **options,
+        )
+        return log.to_dataset()
+
+    @classmethod
+    def from_episodes(
+        cls,
+        episodes: Sequence[Mapping[str, Any]],
+        *,
+        action_bounds: validation.Bounds | None = None,
+        observation_names: Sequence[str] | None = None,
+        action_names: Sequence[str] | None = None,
+        observation_units: Sequence[str] | None = None,
+        action_units: Sequence[str] | None = None,
+        provenance: Mapping[str, Any] | None = None,
+    ) -> "Dataset":
+        """Builds a dataset from episodes of different lengths, each a mapping from field to array.
+
+        Args:
+            episodes: each with `observations`, `actions` [T, act_dim] and `rewards` [T], and where known `terminated`
+                and `truncated`, as [T] or one bool for the end. Of T + 1 observations the last is what followed the
+                last action; of T it is unknown, and a last row that is not terminated is dropped.
+            action_bounds: as in `from_arrays`, like the other arguments.
+
+        Raises:
+            DatasetError: as `odaf.data.episode_lists.read` and `from_arrays`.
+        """
+        from odaf.data import episode_lists
+
+        names = (observation_names, action_names, observation_units, action_units)
+        given = [None if name is None else tuple(name) for name in names]
+        log = episode_lists.read(
+            episodes,
+            source="Dataset.from_episodes",
+            action_bounds=action_bounds,
+            observation_names=given[0],
+            action_names=given[1],
+            observation_units=given[2],
+            action_units=given[3],
+            provenance=dict(provenance or {}),
+        )
+        return log.to_dataset()
+
+    @classmethod
     def load(
         cls,
         path: str | os.PathLike[str],
         *,
-        max_episode_steps: int | None = None,
-        action_bounds: validation.Bounds | None = None,
-        d4rl_compat: bool = False,
+        format: str | None = None,
+        **options: Any,
     ) -> "Dataset":
-        """Reads a file written by `save`, or an HDF5 file in the D4RL layout; which of the two is told from the file.
+        """Reads a file written by `save`, or a file or folder in one of the layouts of `odaf.data.readers`.
 
-        Reading never runs code from the file. The options concern the D4RL layout only: see `odaf.data.d4rl.read`.
+        Reading never runs code from the file.
+
+        Args:
+            path: file or folder.
+            format: a name in `odaf.data.readers.FORMATS`; None tells the layout from the contents.
+            options: of the layout's own reader: `max_episode_steps`, `action_bounds` and `d4rl_compat` for D4RL files
+                (`odaf.data.readers.d4rl.read`), `observations=[...]` and more for tables. None counts as not given.
 
         Raises:
-            DatasetError: the file is missing, damaged, of another format or a newer version, or its rows fail a check.
+            DatasetError: there is nothing at `path`, it is damaged, of an unknown format or a newer version, an option
+                does not belong to its layout, or its rows fail a check.
         """
-        from odaf.data import d4rl, storage
+        from odaf.data import readers, storage
 
+        given = {name: value for name, value in options.items() if value is not None}
+        if format is not None or readers.detect(path) != "odaf":
+            return readers.read(path, format=format, **given).to_dataset()
         with storage.opened(path) as (file, source):
-            if storage.is_own(file, source):
-                options = {
-                    "max_episode_steps": max_episode_steps is not None,
-                    "action_bounds": action_bounds is not None,
-                    "d4rl_compat": d4rl_compat,
-                }
-                for option, given in options.items():
-                    if given:
-                        raise DatasetError(
-                            f"{source}: {option} applies to files in the D4RL layout, this is an odaf dataset; "
-                            "leave the option out"
-                        )
-                return storage.read(file, source)
-            return d4rl.read(
-                file,
-                source,
-                max_episode_steps=max_episode_steps,
-                action_bounds=(-1.0, 1.0) if action_bounds is None else action_bounds,
-                d4rl_compat=d4rl_compat,
-            )
+            for option, value in given.items():
+                if value is not False:
+                    raise DatasetError(
+                        f"{source}: {option} applies to files in the D4RL layout and others like it, this is an odaf "
+                        "dataset; leave the option out"
+                    )
+            return storage.read(file, source)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Writes the dataset to one HDF5 file; a crash leaves either the old file or the new one, never a part."""
@@ -312,6 +409,34 @@ class Dataset:
         from odaf.data import storage
 
         return storage.checksum(storage.arrays_of(self), storage.metadata(self))
+
+    def check(self) -> "Report":
+        """What may trouble learning from these rows, each with row numbers and a remedy; print it to see a table.
+
+        Data sets of this class have passed what would be an error in a file; warnings and notes are left, and what was
+        changed on the way in.
+        """
+        from odaf.data.checks import check_log
+
+        return check_log(self.to_log())
+
+    def to_log(self) -> Log:
+        """The same rows as a reader would return them; no array is copied."""
+        columns: dict[str, Any] = {name: getattr(self, name) for name in COLUMNS}
+        columns["episode"] = np.repeat(np.arange(self.num_episodes), self.episode_lengths())
+        return Log(
+            columns=columns,
+            source="Dataset",
+            format="odaf",
+            observation_names=self.observation_names,
+            action_names=self.action_names,
+            observation_units=self.observation_units,
+            action_units=self.action_units,
+            action_bounds=(self.action_low, self.action_high),
+            infos=self.infos,
+            provenance=self.provenance,
+            findings=tuple(self.provenance.get("findings", ())),
+        )
 
     def summary(self) -> dict[str, Any]:
         """Counts, returns and provenance in JSON types. Returns are undiscounted sums per episode."""

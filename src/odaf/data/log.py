@@ -6,7 +6,7 @@ A reader finds columns and says what they mean; it neither repairs nor drops. `o
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -19,6 +19,7 @@ REQUIRED = ("observations", "actions", "rewards")
 OPTIONAL = ("next_observations", "terminated", "truncated", "episode", "time")
 
 
+@runtime_checkable
 class Column(Protocol):
     """A NumPy array, a memory map, or an array in a file that is read piece by piece."""
 

@@ -12,7 +12,10 @@ from pathlib import Path
 from typing import Any
 
 from odaf.data.log import Log
+from odaf.data.readers.detection import detect
 from odaf.errors import DatasetError
+
+__all__ = ["FORMATS", "Format", "detect", "read"]
 
 
 @dataclass(frozen=True)
@@ -51,19 +54,23 @@ def read(path: str | os.PathLike[str], format: str | None = None, **options: Any
             layout, or the reader refuses the contents.
     """
     name = detect(path) if format is None else format
+    if name == "odaf":
+        raise DatasetError(f"{os.fspath(path)}: an odaf dataset; read it with Dataset.load")
     if name not in FORMATS:
         raise DatasetError(f"{os.fspath(path)}: format {name!r} is unknown; known are {', '.join(FORMATS)}")
     function = import_module(FORMATS[name].module).read
-    known = [p.name for p in inspect.signature(function).parameters.values() if p.kind is p.KEYWORD_ONLY]
+    parameters = [p for p in inspect.signature(function).parameters.values() if p.kind is p.KEYWORD_ONLY]
+    known = [parameter.name for parameter in parameters]
     unknown = sorted(set(options) - set(known))
     if unknown:
         raise DatasetError(
             f"{os.fspath(path)}: option {unknown[0]!r} does not apply to {FORMATS[name].title}; "
             f"it takes {', '.join(known) or 'none'}"
         )
+    missing = [p.name for p in parameters if p.default is p.empty and p.name not in options]
+    if missing:
+        raise DatasetError(
+            f"{os.fspath(path)}: {FORMATS[name].title} does not say which column means what; "
+            f"give {', '.join(f'{option}=' for option in missing)}"
+        )
     return function(Path(path), **options)
-
-
-def detect(path: str | os.PathLike[str]) -> str:
-    """The name of the layout, told from the contents."""
-    raise DatasetError(f"{os.fspath(path)}: unknown layout")

@@ -4,7 +4,8 @@ import h5py
 import numpy as np
 import pytest
 
-from odaf.data import Dataset
+from odaf.data import Dataset, readers
+from odaf.data.readers import d4rl
 from odaf.errors import DatasetError
 
 ROWS = 12
@@ -148,10 +149,97 @@ def test_double_precision_tall_rewards_and_numeric_flags(write):
     np.testing.assert_array_equal(np.flatnonzero(dataset.terminated), [4])
 
 
-def test_infos_and_policy_weights_are_left_out_but_named(write):
-    extra = {"infos/qpos": np.zeros((ROWS, 6)), "metadata/policy/fc0/weight": np.zeros((4, 2))}
-    dataset = Dataset.load(write(**extra))
-    assert dataset.provenance["fields_not_read"] == ["infos/qpos", "metadata/policy/fc0/weight"]
+POLICY = {
+    "infos/qpos": np.arange(ROWS * 6.0).reshape(ROWS, 6),
+    "infos/qvel": np.ones((ROWS, 6), np.float32),
+    "infos/action_log_probs": np.zeros(ROWS, np.float32),
+    "infos/short": np.zeros(ROWS - 1),
+    "metadata/algorithm": np.bytes_("SAC"),
+    "metadata/iteration": 1000,
+    "metadata/policy/fc0/weight": np.arange(8.0).reshape(4, 2),
+    "metadata/policy/fc0/bias": np.zeros(4),
+    "metadata/policy/nonlinearity": np.bytes_("relu"),
+    "metadata/policy/output_distribution": np.bytes_("tanh_gaussian"),
+}
+
+
+def test_infos_are_kept_and_lose_the_rows_that_the_others_lose(write):
+    dataset = Dataset.load(write(**POLICY, without=["next_observations"]))
+    assert sorted(dataset.infos) == ["action_log_probs", "qpos", "qvel"]
+    np.testing.assert_array_equal(dataset.infos["qpos"], POLICY["infos/qpos"][[0, 1, 2, 3, 4, 5, 6, 7, 9, 10]])
+    compatible = Dataset.load(write(**POLICY), d4rl_compat=True)
+    np.testing.assert_array_equal(compatible.infos["qpos"], POLICY["infos/qpos"][[0, 1, 2, 3, 4, 5, 6, 7, 9, 10]])
+
+
+def test_policy_is_described_and_its_arrays_can_be_had(write):
+    path = write(**POLICY)
+    provenance = Dataset.load(path).provenance
+    assert (provenance["algorithm"], provenance["iteration"]) == ("SAC", 1000)
+    assert provenance["behaviour_policy"] == {
+        "arrays": {"fc0/weight": [4, 2], "fc0/bias": [4]},
+        "nonlinearity": "relu",
+        "output_distribution": "tanh_gaussian",
+    }
+    assert provenance["fields_not_read"] == sorted(name for name in POLICY if name[:7] == "infos/s" or name[0] == "m")
+    arrays = d4rl.behaviour_policy(path)
+    assert sorted(arrays) == ["fc0/bias", "fc0/weight"]
+    np.testing.assert_array_equal(arrays["fc0/weight"], POLICY["metadata/policy/fc0/weight"])
+    with pytest.raises(DatasetError, match="hopper.hdf5: holds no policy"):
+        d4rl.behaviour_policy(write())
+
+
+@pytest.mark.parametrize("packing", [{}, {"chunks": (5, 2), "compression": "gzip"}])
+@pytest.mark.parametrize("rows", [1, 4, 5, ROWS, 100])
+def test_log_is_read_in_blocks_from_the_file(write, packing, rows):
+    path = write(without=["observations"])
+    with h5py.File(path, "r+") as file:
+        file.create_dataset("observations", data=columns()["observations"], **packing)
+    log = readers.read(path)
+    assert not any(isinstance(log.columns[name], np.ndarray) for name in ("observations", "actions", "rewards"))
+    firsts, blocks = zip(*log.blocks(rows), strict=True)
+    assert list(firsts) == list(range(0, ROWS, rows))
+    for name in ("observations", "actions", "rewards", "next_observations"):
+        np.testing.assert_array_equal(np.concatenate([block[name] for block in blocks]), columns()[name])
+    np.testing.assert_array_equal(np.concatenate([block["episode"] for block in blocks]), [0] * 5 + [1] * 4 + [2] * 3)
+
+
+def test_array_that_was_never_written_in_full_is_refused(write):
+    path = write(without=["rewards", "actions"])
+    with h5py.File(path, "r+") as file:
+        file.create_dataset("rewards", (ROWS,), "f4")
+        file.create_dataset("actions", (ROWS, 3), "f4", chunks=(4, 3))[:5] = 1
+    with pytest.raises(DatasetError, match="field 'actions' misses 1 of the 3 pieces"):
+        Dataset.load(path)
+    with h5py.File(path, "r+") as file:
+        del file["actions"]
+        file["actions"] = columns()["actions"]
+    with pytest.raises(DatasetError, match=r"field 'rewards' has shape \(12,\), 48 bytes, but 0 are there"):
+        Dataset.load(path)
+
+
+def test_links_out_of_the_file_are_not_followed(write, tmp_path):
+    other = tmp_path / "other.h5"
+    with h5py.File(other, "w") as file:
+        file["policy/weight"] = np.zeros((ROWS, 3))
+    path = write(without=["actions"])
+    with h5py.File(path, "r+") as file:
+        file["metadata"] = h5py.ExternalLink(str(other), "/")
+        file["actions"] = h5py.ExternalLink(str(other), "/policy/weight")
+    with pytest.raises(DatasetError, match="field 'actions' is a link to another place"):
+        Dataset.load(path)
+    with pytest.raises(DatasetError, match="holds no policy"):
+        d4rl.behaviour_policy(path)
+
+
+def test_flag_bytes_other_than_zero_and_one_are_noticed(write):
+    path = write()
+    with h5py.File(path) as file:
+        place = file["terminals"].id.get_offset() + 3
+    content = bytearray(path.read_bytes())
+    content[place] = 7
+    path.write_bytes(content)
+    with pytest.raises(DatasetError, match="field 'terminals' holds flags that are neither true nor false in row 3"):
+        Dataset.load(path)
 
 
 @pytest.mark.parametrize("both_in_row", [4, 6])
@@ -208,9 +296,17 @@ WRONG = {
     ),
     "flag": ({"terminals": np.arange(ROWS)}, "field 'terminals' must hold only true and false"),
     "text": ({"rewards": np.array([b"1"] * ROWS)}, r"field 'rewards' holds \|S1 values"),
-    "minari": ({"episode_0/actions": np.zeros((3, 1))}, "one group per episode .*as Minari writes; concatenate"),
     "group": ({"without": ["rewards"], "rewards/x": np.zeros(3)}, "field 'rewards' is a group, expected an array"),
 }
+
+
+def test_flat_arrays_beside_episodes_as_groups(write):
+    """Which of the two is meant must be said; the flat arrays alone are then not taken for the whole file."""
+    path = write(**{"episode_0/actions": np.zeros((3, 1))})
+    with pytest.raises(DatasetError, match="hopper.hdf5: holds flat arrays .* say which to read with format="):
+        Dataset.load(path)
+    with pytest.raises(DatasetError, match="hopper.hdf5: .*one group per episode .*as Minari writes; concatenate"):
+        Dataset.load(path, format="d4rl")
 
 
 @pytest.mark.parametrize("name", WRONG)
@@ -218,6 +314,27 @@ def test_bad_file_names_field_rows_and_remedy(write, name):
     changes, message = WRONG[name]
     with pytest.raises(DatasetError, match=f"hopper.hdf5: .*({message})"):
         Dataset.load(write(**changes))
+
+
+def test_flags_of_another_length(write):
+    with pytest.raises(DatasetError, match="field 'timeouts' has 11 rows, 'terminals' has 12"):
+        Dataset.load(write(timeouts=columns()["timeouts"][1:]))
+    path = write(rewards=columns()["rewards"][1:])
+    for options in ({}, {"d4rl_compat": True}):
+        with pytest.raises(DatasetError, match="field 'rewards' has 11 rows, '(observations|terminals)' has 12"):
+            Dataset.load(path, **options)
+
+
+def test_options_of_other_layouts_are_refused_with_those_it_takes(write):
+    with pytest.raises(
+        DatasetError,
+        match="hopper.hdf5: option 'goal' does not apply to D4RL HDF5; it takes max_episode_steps, action_bounds, "
+        "d4rl_compat",
+    ):
+        Dataset.load(write(), goal=(1.0, 2.0))
+    with pytest.raises(DatasetError, match="hopper.hdf5: format 'rlds' is unknown; known are d4rl, minari"):
+        Dataset.load(write(), format="rlds")
+    assert len(Dataset.load(write(), action_bounds=None, max_episode_steps=None)) == ROWS  # None: not given
 
 
 def test_wider_bounds_can_be_given(write):

@@ -1,0 +1,139 @@
+"""Which layout a file or folder is in, told from what it holds; its name decides nothing."""
+
+import os
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import h5py
+
+from odaf.data import storage
+from odaf.data.readers import d4rl, hdf5, minari, numpy_files, ogbench
+from odaf.errors import DatasetError
+
+_UNPACK = ((b"\x1f\x8b", "gzip"), (b"BZh", "bzip2"), (b"\xfd7zXZ\x00", "xz"), (b"\x28\xb5\x2f\xfd", "zstd"))
+# Protocol 2 and later start with their number; 0 and 1 with the opcodes of a collection or of a class to import.
+_PICKLE = re.compile(rb"\x80[\x02-\x05]|\((?:[dlt]p?\d*\n|[dlt]q|i\w)|[\]}](?:q|p\d)|c[\w.]+\n[\w.]+\n")
+_UNSAFE = (
+    "loading it would run code from the file, so odaf does not. Load it where you trust it, and save the arrays with "
+    "Dataset.from_arrays(...).save(...), as columns of a table, or with numpy.savez"
+)
+
+
+def detect(path: str | os.PathLike[str]) -> str:
+    """The name of the layout: one of `FORMATS`, or `odaf` for a file that `Dataset.save` wrote.
+
+    Raises:
+        DatasetError: there is nothing at `path`, loading it would run code, or no layout fits what was found.
+    """
+    source = os.fspath(path)
+    place = Path(path)
+    if place.is_dir():
+        return _folder(place, source)
+    if not place.exists():
+        raise DatasetError(f"{source}: there is no such file; check the path, or make the data first")
+    try:
+        with open(place, "rb") as handle:
+            head = handle.read(4096)
+            handle.seek(-min(place.stat().st_size, 1), os.SEEK_END)
+            tail = handle.read(1)
+    except OSError as error:
+        raise DatasetError(f"{source}: cannot be read ({error}); give a file that may be read") from error
+    if not head:
+        raise DatasetError(f"{source}: the file is empty; copy or generate it again")
+    if h5py.is_hdf5(source):
+        return _hdf5(place)
+    if head.startswith(b"PK\x03\x04"):
+        return _zip(place, source)
+    if head.startswith(b"\x93NUMPY"):
+        if numpy_files.holds_objects(path):
+            raise DatasetError(f"{source}: a .npy file of Python objects, which are pickled; {_UNSAFE}")
+        raise DatasetError(
+            f"{source}: a single array without the names of its columns; load it with numpy.load and pass the arrays "
+            "to Dataset.from_arrays"
+        )
+    if head.startswith(b"PAR1"):
+        return "parquet"
+    if _PICKLE.match(head) and (head[0] == 0x80 or tail == b"."):
+        raise DatasetError(f"{source}: a Python pickle; {_UNSAFE}")
+    for magic, name in _UNPACK:
+        if head.startswith(magic):
+            raise DatasetError(f"{source}: compressed with {name}; unpack it first")
+    if head.startswith(b"ARROW1"):
+        raise DatasetError(
+            f"{source}: a single Arrow file; give the folder if Minari wrote it, or convert it to Parquet"
+        )
+    if _is_table(head):
+        return "csv"
+    raise DatasetError(
+        f"{source}: no known layout: neither HDF5, .npz, Parquet nor a text table (its first bytes are {head[:16]!r}); "
+        "convert it to one of these, or build the data with Dataset.from_arrays"
+    )
+
+
+def _hdf5(path: Path) -> str:
+    with storage.opened(path) as (file, source):
+        if storage.is_own(file, source):
+            return "odaf"
+        with storage.reading(source):
+            keys = list(file.keys())
+        groups = [key for key in keys if minari.EPISODE.fullmatch(key)]
+        flat = [name for name in d4rl.REQUIRED if name in keys]
+        if groups and not flat:
+            return "minari"
+        if {"columns", "num_episodes"} & set(keys) or "episode_terminals" in keys:
+            return "d3rlpy"
+        if groups:
+            raise DatasetError(
+                f"{source}: holds flat arrays ({', '.join(flat)}) and episodes as groups ({groups[0]}, ...); say which "
+                "to read with format="
+            )
+        if flat:
+            return "d4rl"
+        raise DatasetError(
+            f"{source}: neither an odaf dataset (no attribute 'format') nor in the D4RL layout (no fields "
+            f"{', '.join(d4rl.REQUIRED)}), and neither Minari's nor d3rlpy's; the file has {hdf5.shown(keys)}"
+        )
+
+
+def _zip(path: Path, source: str) -> str:
+    names = numpy_files.member_names(path)
+    pickles = [name for name in names if name.endswith((".pkl", ".pickle"))]
+    if pickles:
+        raise DatasetError(f"{source}: an archive with a Python pickle ({pickles[0]}); {_UNSAFE}")
+    arrays = [name.removesuffix(".npy") for name in names if name.endswith(".npy")]
+    if any(name in arrays for name in ogbench.REQUIRED):
+        return "ogbench"
+    raise DatasetError(
+        f"{source}: an archive that is not in OGBench's layout (no fields {', '.join(ogbench.REQUIRED)}); it has "
+        f"{hdf5.shown(arrays or names)}: load it with numpy.load and pass the arrays to Dataset.from_arrays"
+    )
+
+
+def _folder(path: Path, source: str) -> str:
+    if (path / "meta" / "info.json").is_file():
+        return "lerobot"
+    data = minari.data_folder(path)
+    if (data / minari.MAIN_FILE).is_file():
+        return "minari"
+    entries = sorted(entry.name for entry in path.iterdir())
+    if (data / "metadata.json").is_file() and any(entry.name.isdigit() for entry in data.iterdir() if entry.is_dir()):
+        return "minari"
+    raise DatasetError(
+        f"{source}: is a folder of no known layout: neither Minari's (data/{minari.MAIN_FILE} or data/metadata.json "
+        f"with folders 0, 1, ...) nor LeRobot's (meta/info.json); it has {hdf5.shown(entries)}: name the file inside it"
+    )
+
+
+def _is_table(head: bytes) -> bool:
+    """Whether the first bytes are text in at least two columns."""
+    try:
+        text = head.decode("utf-16" if head[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8")
+    except UnicodeDecodeError as error:
+        if error.start < len(head) - 4 or head[:2] in (b"\xff\xfe", b"\xfe\xff"):
+            return False
+        text = head[: error.start].decode("utf-8")
+    lines: Sequence[str] = text.splitlines()
+    if "\x00" in text or not lines or lines[0].lstrip("\ufeff").startswith(("{", "[", "<")):
+        return False
+    return any(mark in lines[0] for mark in ",;\t|")
