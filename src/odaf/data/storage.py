@@ -21,6 +21,7 @@ from odaf.errors import DatasetError
 
 if TYPE_CHECKING:
     from odaf.data.dataset import Dataset
+    from odaf.data.log import Log
 
 FORMAT = "odaf-dataset"
 VERSION = 1
@@ -128,6 +129,14 @@ def is_own(file: h5py.File, source: str) -> bool:
     return True
 
 
+def is_own_file(path: str | os.PathLike[str]) -> bool:
+    """Whether there is an HDF5 file that claims to be an odaf dataset; never raises on what is no HDF5 file."""
+    if not os.path.isfile(path) or not h5py.is_hdf5(path):
+        return False
+    with opened(path) as (file, source):
+        return is_own(file, source)
+
+
 def read(file: h5py.File, source: str) -> "Dataset":
     """The dataset in an open file of our own format.
 
@@ -136,6 +145,75 @@ def read(file: h5py.File, source: str) -> "Dataset":
     """
     from odaf.data.dataset import Dataset
 
+    stored = _stored_checksum(file, source)
+    with reading(source):
+        arrays = {name: _field(file, source, name, dtype, axes) for name, (dtype, axes) in _FIELDS.items()}
+        arrays |= {f"infos/{name}": read_array(file, source, f"infos/{name}") for name in _info_names(file, source)}
+        text = _metadata_text(file, source)
+    names, provenance = _verified(source, arrays, text, stored)
+    for array in arrays.values():
+        array.setflags(write=False)  # nobody else holds them, so the dataset may keep them uncopied
+    infos = {name.removeprefix("infos/"): arrays.pop(name) for name in list(arrays) if name not in _FIELDS}
+    return Dataset(**arrays, **names, infos=infos, provenance=provenance, source=source)
+
+
+def open_log(path: str | os.PathLike[str]) -> "Log":
+    """The rows of a file of our own format, memory-mapped: only what is looked at is read.
+
+    The checksum is compared in one pass over the file, whose pages need not stay in memory.
+
+    Raises:
+        DatasetError: as `read`, but for the rows, which nobody has looked at yet.
+    """
+    from odaf.data.log import Log
+
+    with opened(path) as (file, source):
+        if not is_own(file, source):
+            raise DatasetError(f"{source}: no attribute 'format', so this is no odaf dataset; name its layout")
+        stored = _stored_checksum(file, source)
+        with reading(source):
+            arrays = {name: _mapped(file, source, name) for name in _FIELDS}
+            for name, (dtype, axes) in _FIELDS.items():
+                _require_type(source, name, arrays[name], dtype, axes)
+            arrays |= {f"infos/{name}": _mapped(file, source, f"infos/{name}") for name in _info_names(file, source)}
+            text = _metadata_text(file, source)
+    names, provenance = _verified(source, arrays, text, stored)
+    rows = len(arrays["observations"])
+    starts = arrays["episode_starts"]
+    return Log(
+        columns={
+            **{name: arrays[name] for name in ("observations", "actions", "rewards", "next_observations")},
+            **{name: arrays[name] for name in ("terminated", "truncated")},
+            "episode": EpisodeNumbers(starts, rows),
+        },
+        source=source,
+        format="odaf",
+        action_bounds=(np.array(arrays["action_low"]), np.array(arrays["action_high"])),
+        infos={name.removeprefix("infos/"): arrays[name] for name in arrays if name not in _FIELDS},
+        provenance=provenance,
+        findings=tuple(provenance.get("findings", ())),
+        **names,
+    )
+
+
+class EpisodeNumbers:
+    """The number of each row's episode, computed where it is looked at."""
+
+    def __init__(self, starts: np.ndarray, rows: int):
+        self._starts = starts
+        self.shape = (rows,)
+        self.dtype = np.dtype(np.int64)
+
+    def __len__(self) -> int:
+        return self.shape[0]
+
+    def __getitem__(self, key: Any, /) -> np.ndarray:
+        rows = np.arange(*key.indices(len(self))) if isinstance(key, slice) else np.asarray(key)
+        return np.searchsorted(self._starts, rows, side="right") - 1
+
+
+def _stored_checksum(file: h5py.File, source: str) -> str:
+    """The checksum that the file claims, once its version is one that can be read."""
     with reading(source):
         version, stored = file.attrs.get("version"), file.attrs.get("sha256")
     if not isinstance(version, (int, np.integer)) or version < 1:
@@ -148,10 +226,13 @@ def read(file: h5py.File, source: str) -> "Dataset":
         )
     if not isinstance(stored, str):
         raise DatasetError(f"{source}: attribute 'sha256' is missing, so damage could not be noticed; copy it again")
-    with reading(source):
-        arrays = {name: _field(file, source, name, dtype, axes) for name, (dtype, axes) in _FIELDS.items()}
-        arrays |= {f"infos/{name}": read_array(file, source, f"infos/{name}") for name in _info_names(file, source)}
-        text = _metadata_text(file, source)
+    return stored
+
+
+def _verified(
+    source: str, arrays: Mapping[str, np.ndarray], text: str, stored: str
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Names and units of the columns, and the provenance, once lengths and checksum agree."""
     rows = len(arrays["observations"])
     for name in ("actions", "rewards", "next_observations", "terminated", "truncated"):
         if len(arrays[name]) != rows:
@@ -166,24 +247,12 @@ def read(file: h5py.File, source: str) -> "Dataset":
             "the file was damaged or edited after it was written: copy or generate it again"
         )
     try:
-        names = json.loads(text)
-        observation_names, action_names, observation_units, action_units = (tuple(names[field]) for field in _TEXTS)
-        provenance = dict(names["provenance"])
+        content = json.loads(text)
+        return {field: tuple(content[field]) for field in _TEXTS}, dict(content["provenance"])
     except (ValueError, KeyError, TypeError) as error:
         raise DatasetError(
             f"{source}: field 'metadata' cannot be read ({type(error).__name__}: {error}); generate the file again"
         ) from error
-    infos = {name.removeprefix("infos/"): arrays.pop(name) for name in list(arrays) if name not in _FIELDS}
-    return Dataset(
-        **arrays,
-        observation_names=observation_names,
-        action_names=action_names,
-        observation_units=observation_units,
-        action_units=action_units,
-        infos=infos,
-        provenance=provenance,
-        source=source,
-    )
 
 
 def arrays_of(dataset: "Dataset") -> dict[str, np.ndarray]:
@@ -206,7 +275,8 @@ def checksum(arrays: Mapping[str, np.ndarray], text: str) -> str:
         dtype = _FIELDS[name][0] if name in _FIELDS else arrays[name].dtype.newbyteorder("<")
         array = np.ascontiguousarray(arrays[name], dtype=dtype)
         digest.update(f"{name} {array.dtype.str} {array.shape}\n".encode())
-        digest.update(array.tobytes())
+        if array.size:
+            digest.update(array.view(np.uint8).reshape(-1).data)  # its own bytes, uncopied
     digest.update(f"metadata {len(text.encode())}\n".encode())
     digest.update(text.encode())
     return digest.hexdigest()
@@ -214,6 +284,11 @@ def checksum(arrays: Mapping[str, np.ndarray], text: str) -> str:
 
 def read_array(file: h5py.File, source: str, name: str) -> np.ndarray:
     """One whole data set, for use inside `reading`; `DatasetError` where it is no array or lies in another file."""
+    return np.asarray(array_item(file, source, name)[()])
+
+
+def array_item(file: h5py.File, source: str, name: str) -> h5py.Dataset:
+    """A data set that is not read yet, for use inside `reading`; errors as `read_array`."""
     link = file.get(name, getlink=True)
     if not isinstance(link, h5py.HardLink):
         raise DatasetError(f"{source}: field '{name}' is a link to another place; write the data into the file itself")
@@ -224,7 +299,7 @@ def read_array(file: h5py.File, source: str, name: str) -> np.ndarray:
         raise DatasetError(f"{source}: field '{name}' is stored in another file; write the data into the file itself")
     if item.shape is None:
         raise DatasetError(f"{source}: field '{name}' is empty; generate the file again")
-    return np.asarray(item[()])
+    return item
 
 
 def require_field(file: h5py.File, source: str, name: str) -> None:
@@ -239,6 +314,21 @@ def require_field(file: h5py.File, source: str, name: str) -> None:
 def _field(file: h5py.File, source: str, name: str, dtype: str, axes: int) -> np.ndarray:
     require_field(file, source, name)
     array = read_array(file, source, name)
+    _require_type(source, name, array, dtype, axes)
+    return array
+
+
+def _mapped(file: h5py.File, source: str, name: str) -> np.ndarray:
+    """One whole data set as a read-only memory map; read where it lies in pieces or holds nothing."""
+    require_field(file, source, name)
+    item = array_item(file, source, name)
+    offset = item.id.get_offset()
+    if offset is None or item.chunks is not None or item.size == 0 or item.dtype.kind not in "biuf":
+        return read_array(file, source, name)
+    return np.memmap(file.filename, item.dtype, "r", offset, item.shape)
+
+
+def _require_type(source: str, name: str, array: np.ndarray, dtype: str, axes: int) -> None:
     if array.dtype != np.dtype(dtype):
         raise DatasetError(
             f"{source}: field '{name}' holds {array.dtype}, expected {np.dtype(dtype)}; "
@@ -248,7 +338,6 @@ def _field(file: h5py.File, source: str, name: str, dtype: str, axes: int) -> np
         raise DatasetError(
             f"{source}: field '{name}' has shape {array.shape}, expected {axes} axes; generate the file again with odaf"
         )
-    return array
 
 
 def _info_names(file: h5py.File, source: str) -> list[str]:

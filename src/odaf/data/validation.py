@@ -10,6 +10,9 @@ from odaf.errors import DatasetError
 # Actions may miss their bounds by this share of the range (rounding in the logger); they are then moved onto them.
 BOUND_TOLERANCE = 1e-3
 
+# Rows looked at together, so that what is computed on the way stays small beside the data.
+_PIECE = 65_536
+
 # (low, high), each a number or one per action; or {action name: (low, high)}.
 Bounds = Mapping[str, Any] | Sequence[Any] | np.ndarray
 
@@ -42,7 +45,7 @@ def numbers(source: str, field: str, values: Any) -> np.ndarray:
 
 
 def matrix(source: str, field: str, values: Any) -> np.ndarray:
-    """[rows, dimensions] float32, copied and finite."""
+    """[rows, dimensions] float32 and finite, copied unless nobody can change it."""
     array = numbers(source, field, values)
     if array.ndim != 2:
         remedy = f"pass {field}[:, None] if it has one dimension per row" if array.ndim == 1 else "flatten each row"
@@ -53,7 +56,7 @@ def matrix(source: str, field: str, values: Any) -> np.ndarray:
 
 
 def vector(source: str, field: str, values: Any) -> np.ndarray:
-    """[rows] float32, copied and finite; [rows, 1] is accepted."""
+    """[rows] float32 and finite, copied unless nobody can change it; [rows, 1] is accepted."""
     return _single_precision(source, field, _one_per_row(source, field, numbers(source, field, values)))
 
 
@@ -96,6 +99,10 @@ def same_width(source: str, observations: np.ndarray, next_observations: np.ndar
 
 def finite(source: str, field: str, array: np.ndarray) -> None:
     """Refuses NaN and infinity."""
+    if array.dtype.kind != "f" or all(
+        np.isfinite(array[first : first + _PIECE]).all() for first in range(0, len(array), _PIECE)
+    ):
+        return
     bad = ~np.isfinite(array)
     if bad.any():
         rows = any_in_row(bad)
@@ -145,8 +152,13 @@ def action_bounds(source: str, actions: np.ndarray, names: tuple[str, ...], boun
 def outside_bounds(source: str, actions: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """[rows] bool: actions a hair outside their bounds. Those further out than `BOUND_TOLERANCE` of the range raise."""
     slack = BOUND_TOLERANCE * (high - low)
-    excess = np.maximum(low - actions, actions - high)
-    far = excess > slack
+    outside = np.zeros(len(actions), bool)
+    far = np.zeros(actions.shape, bool)
+    for first in range(0, len(actions), _PIECE):
+        piece = slice(first, first + _PIECE)
+        excess = np.maximum(low - actions[piece], actions[piece] - high)
+        far[piece] = excess > slack
+        outside[piece] = any_in_row(excess > 0)
     if far.any():
         index = int(np.flatnonzero(far.any(axis=0))[0])
         row = int(np.flatnonzero(far[:, index])[0])
@@ -155,7 +167,7 @@ def outside_bounds(source: str, actions: np.ndarray, low: np.ndarray, high: np.n
             f"{actions[row, index]} in row {row}, allowed [{low[index]}, {high[index]}]; "
             "pass the true action_bounds, or clip the actions before"
         )
-    return any_in_row(excess > 0)
+    return outside
 
 
 def names(source: str, field: str, given: Sequence[str] | None, count: int, prefix: str) -> tuple[str, ...]:
@@ -208,8 +220,12 @@ def _one_per_row(source: str, field: str, array: np.ndarray) -> np.ndarray:
 
 def _single_precision(source: str, field: str, array: np.ndarray) -> np.ndarray:
     finite(source, field, array)
+    if array.dtype == np.float32 and array.flags.owndata and not array.flags.writeable:
+        return array  # nobody can change it, so it may be shared
     with np.errstate(over="ignore"):
         result = array.astype(np.float32)
+    if array.dtype.itemsize <= 4:
+        return result
     bad = ~np.isfinite(result)
     if bad.any():
         rows = any_in_row(bad)
