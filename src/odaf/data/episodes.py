@@ -139,8 +139,8 @@ def _shift(
 ) -> np.ndarray:
     rows = len(columns["observations"])
     last = _last_rows(starts, rows)
-    following = np.where(last, np.arange(rows), np.arange(rows) + 1)
-    columns["next_observations"] = columns["observations"][following]
+    following = np.arange(1, rows + 1)
+    following[last] -= 1
 
     placeholders = last & columns["terminated"]
     if placeholders.any():
@@ -153,6 +153,7 @@ def _shift(
         )
     dropped = last & ~columns["terminated"]
     if not dropped.any():
+        columns["next_observations"] = columns["observations"][following]
         return starts
     kept = ~dropped
     if not kept.any():
@@ -165,8 +166,10 @@ def _shift(
         )
     )
     episode = np.cumsum(_first_rows(starts, rows))[kept]
+    successors = columns["observations"][following[kept]]
     for field, column in columns.items():
         columns[field] = column[kept]
+    columns["next_observations"] = successors
     starts = np.append(0, np.flatnonzero(np.diff(episode)) + 1).astype(np.int64)
     columns["truncated"] = _last_rows(starts, int(kept.sum())) & ~columns["terminated"]
     return starts

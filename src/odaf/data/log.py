@@ -84,7 +84,7 @@ class Log:
         """
         from odaf.data.dataset import Dataset
 
-        arrays = {name: np.asarray(column[:]) for name, column in self.columns.items() if name != "time"}
+        arrays = {name: _whole(column) for name, column in self.columns.items() if name != "time"}
         return Dataset.from_arrays(
             **arrays,
             action_bounds=self.action_bounds,
@@ -92,7 +92,12 @@ class Log:
             action_names=self.action_names,
             observation_units=self.observation_units,
             action_units=self.action_units,
-            infos={name: np.asarray(column[:]) for name, column in self.infos.items()},
+            infos={name: _whole(column) for name, column in self.infos.items()},
             provenance={**self.provenance, "format": self.format, "findings": list(self.findings)},
             source=self.source,
         )
+
+
+def _whole(column: Column) -> np.ndarray:
+    """The column in memory; an array as it is, because a slice of it would look as if somebody else could change it."""
+    return column if type(column) is np.ndarray else np.asarray(column[:])

@@ -1,0 +1,183 @@
+"""Reader of LeRobot folders: Parquet tables under `data/`, described in `meta/info.json`; versions 2 and 3."""
+
+import json
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+
+from odaf.data.log import Log
+from odaf.data.readers import table_sources, tables
+from odaf.data.readers.row_order import OnGap
+from odaf.data.readers.table_cells import OnMissing
+from odaf.data.readers.table_meaning import Meaning
+from odaf.data.readers.table_sources import Table
+from odaf.data.validation import Bounds
+from odaf.errors import DatasetError
+
+REWARD = "next.reward"
+DONE = "next.done"
+
+
+def read(
+    path: str | os.PathLike[str],
+    *,
+    observations: Sequence[str] = ("observation.state",),
+    actions: Sequence[str] = ("action",),
+    reward: str | float = REWARD,
+    terminated: str | None = DONE,
+    infos: Sequence[str] = (),
+    action_bounds: Bounds | None = None,
+    units: Mapping[str, str] | None = None,
+    on_gap: OnGap = "break",
+    on_missing: OnMissing = "error",
+) -> Log:
+    """The log in a LeRobot folder; messages number its frames from 0 through all files.
+
+    Version 2 has one file an episode, version 3 several episodes a file; both are read in the order of their names.
+    The last frame of an episode has no successor: it is kept where the task ended there, else the dataset drops it.
+    Images and videos are not read. The numbers in a column carry the names of `meta/info.json`, where it has them.
+
+    Args:
+        path: the folder that holds `data` and `meta`.
+        observations: columns of what was seen.
+        actions: columns of what was done.
+        reward: the column of what the action of the same frame earned, or a number that every frame earned. Many
+            folders have none.
+        terminated: the column that says where the task ended; `next.done` counts only where the folder has it. None:
+            no task ever ended, every episode was cut.
+        infos: further columns of numbers to keep beside the rows.
+        action_bounds: {action: (low, high)} or {column: (low, high)} or (low, high). None takes them from the data.
+        units: {column: unit}.
+        on_gap: as in `odaf.data.readers.tables.read`.
+        on_missing: as in `odaf.data.readers.tables.read`.
+
+    Raises:
+        DatasetError: the folder is of another layout or version, a file of it is damaged, a column is missing, or the
+            table is refused as in `odaf.data.readers.tables.read`.
+    """
+    path = Path(path)
+    source = os.fspath(path)
+    info = _info(path, source)
+    files = sorted(path.glob("data/chunk-*/*.parquet"))
+    if not files:
+        raise DatasetError(f"{source}: holds no data/chunk-*/*.parquet; name the folder that has 'data' and 'meta'")
+    names = table_sources.parquet_table(files[0]).names
+    if terminated == DONE and DONE not in names:
+        terminated = None
+    if reward == REWARD and REWARD not in names:
+        raise DatasetError(
+            f"{source}: has no column '{REWARD}', as many recorded demonstrations; pass reward=, the name of a column "
+            f"or a number such as 0.0 for cloning; there are {', '.join(names)}"
+        )
+    time = "timestamp" if "timestamp" in names else "frame_index"
+    meaning = Meaning(
+        observations=observations,
+        actions=actions,
+        reward=reward,
+        episode="episode_index",
+        terminated=terminated,
+        time=time,
+        time_step=1.0 / info["fps"] if time == "timestamp" else 1.0,
+        infos=infos,
+        action_bounds=action_bounds,
+        units=units,
+        on_gap=on_gap,
+        on_missing=on_missing,
+    )
+    meaning.check(source)
+    frame = _joined(files, source, meaning.columns())
+    facts = {name: info[name] for name in ("codebase_version", "robot_type", "fps") if name in info}
+    table = Table(
+        source,
+        "lerobot",
+        names,
+        frame.height,
+        frame.get_column,
+        facts={**facts, "files": len(files)},
+        parts={**_parts(info["features"], observations), **_parts(info["features"], actions)},
+    )
+    log = tables.build(table, meaning)
+    return replace(log, findings=(*log.findings, *_doubts(log, info, frame)))
+
+
+def _info(path: Path, source: str) -> dict[str, Any]:
+    """What `meta/info.json` says: `features` by column, and `fps`."""
+    file = path / "meta" / "info.json"
+    try:
+        info = json.loads(file.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise DatasetError(f"{source}: no meta/info.json can be read ({error}); name the folder that has it") from error
+    except (ValueError, RecursionError) as error:
+        raise DatasetError(f"{file}: is not JSON ({error}); copy the folder again") from error
+    if not isinstance(info, dict) or not isinstance(info.get("features"), dict):
+        raise DatasetError(f"{file}: does not describe the 'features' of a LeRobot folder; copy it again")
+    version = info.get("codebase_version")
+    if not isinstance(version, str) or not version.startswith(("v2.", "v3.")):
+        raise DatasetError(
+            f"{file}: codebase_version is {version!r}; this reads versions 2 and 3, so convert it with LeRobot's tools"
+        )
+    fps = info.get("fps")
+    if isinstance(fps, bool) or not isinstance(fps, (int, float)) or not 0.0 < fps < float("inf"):
+        raise DatasetError(f"{file}: fps is {fps!r}; it must be the number of frames a second")
+    return info
+
+
+def _joined(files: Sequence[Path], source: str, names: Sequence[str]) -> pl.DataFrame:
+    """The named columns of all files, one file after another."""
+    frames = []
+    for file in files:
+        table = table_sources.parquet_table(file)
+        table.require(names)
+        with table_sources.reading(table.source):
+            frames.append(pl.read_parquet(file, columns=list(names), glob=False, hive_partitioning=False))
+    with table_sources.reading(source, "files whose columns differ in type"):
+        return pl.concat(frames, how="vertical_relaxed")
+
+
+def _parts(features: Mapping[str, Any], columns: Iterable[str]) -> dict[str, list[str]]:
+    """Names of the numbers in each column; preceded by the column's where two columns use the same."""
+    found: dict[str, list[str]] = {}
+    for column in columns:
+        feature = features.get(column)
+        names = feature.get("names") if isinstance(feature, dict) else None
+        if isinstance(names, dict) and len(names) == 1:  # {"motors": [...]}
+            names = next(iter(names.values()))
+        if isinstance(names, list) and names and all(isinstance(name, str) and name for name in names):
+            found[column] = names if len(set(names)) == len(names) else []
+    everything = [name for names in found.values() for name in names]
+    if len(set(everything)) < len(everything):
+        return {column: [f"{column}.{name}" for name in names] for column, names in found.items()}
+    return found
+
+
+def _doubts(log: Log, info: Mapping[str, Any], frame: pl.DataFrame) -> list[dict[str, Any]]:
+    """Findings on what the folder says of itself."""
+    findings = []
+    promised = info.get("total_frames")
+    if isinstance(promised, int) and promised != frame.height:
+        findings.append(
+            {
+                "finding": "frames-missing",
+                "count": abs(promised - frame.height),
+                "message": f"meta/info.json counts {promised:,} frames, the files hold {frame.height:,}; "
+                "if the copy is incomplete, copy the missing files",
+            }
+        )
+    if "terminated" in log.columns:
+        last = (frame["episode_index"] != frame["episode_index"].shift(-1)).fill_null(True).to_numpy().astype(bool)
+        ended = int(log.columns["terminated"][:][last].sum())
+        if ended == int(last.sum()):
+            findings.append(
+                {
+                    "finding": "done-at-every-end",
+                    "count": ended,
+                    "message": f"every episode ends with {log.provenance['columns']['terminated']}; if some of them "
+                    'only ran out of time, learned values are wrong: name another column, such as "next.success", or '
+                    "pass terminated=None",
+                }
+            )
+    return findings
