@@ -47,21 +47,31 @@ def write(dataset: "Dataset", path: str | os.PathLike[str]) -> None:
     Raises:
         DatasetError: the folder does not exist or cannot be written to.
     """
-    path = Path(path)
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
     arrays = arrays_of(dataset)
     text = metadata(dataset)
+    # The library version sets a layout whose own bookkeeping is checksummed, so damage there is noticed too.
+    with replacing(path) as partial, h5py.File(partial, "w", libver=("v110", "v110")) as file:
+        file.attrs["format"] = FORMAT
+        file.attrs["version"] = VERSION
+        file.attrs["sha256"] = checksum(arrays, text)
+        for name, array in arrays.items():
+            dtype = _FIELDS[name][0] if name in _FIELDS else array.dtype.newbyteorder("<")
+            file.create_dataset(name, data=array.astype(dtype, copy=False))
+        file.create_dataset("metadata", data=text)
+
+
+@contextlib.contextmanager
+def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """A place beside `path` to write a file to; it takes the place of `path` when the block ends without an error.
+
+    Raises:
+        DatasetError: the folder does not exist or cannot be written to.
+    """
+    path = Path(path)
+    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
         try:
-            # The library version sets a layout whose own bookkeeping is checksummed, so damage there is noticed too.
-            with h5py.File(partial, "w", libver=("v110", "v110")) as file:
-                file.attrs["format"] = FORMAT
-                file.attrs["version"] = VERSION
-                file.attrs["sha256"] = checksum(arrays, text)
-                for name, array in arrays.items():
-                    dtype = _FIELDS[name][0] if name in _FIELDS else array.dtype.newbyteorder("<")
-                    file.create_dataset(name, data=array.astype(dtype, copy=False))
-                file.create_dataset("metadata", data=text)
+            yield partial
             with open(partial, "rb+") as handle:
                 os.fsync(handle.fileno())
             os.replace(partial, path)

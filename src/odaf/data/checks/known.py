@@ -71,11 +71,9 @@ def file_sha256(path: str | os.PathLike[str]) -> str:
 
 
 def _name(log: Log) -> str:
-    parts = [log.source, *(str(log.provenance.get(key, "")) for key in ("file", "dataset_id"))]
-    metadata = log.provenance.get("metadata")
-    if isinstance(metadata, Mapping):
-        parts.append(str(metadata.get("dataset_id", "")))
-    return " ".join(parts).lower()
+    facts = log.provenance.get("minari")
+    identity = facts.get("dataset_id", "") if isinstance(facts, Mapping) else ""
+    return f"{log.source} {log.provenance.get('file', '')} {identity}".lower()
 
 
 def _differs(message: str) -> Finding:

@@ -1,0 +1,133 @@
+"""A data set in the layouts that other programs read: D4RL's one file, Minari's folder."""
+
+import json
+import os
+import shutil
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from odaf.data import storage
+from odaf.data.dataset import Dataset
+from odaf.errors import DatasetError
+
+MINARI_VERSION = "0.5.0"
+
+
+def to_d4rl(dataset: Dataset, path: str | os.PathLike[str]) -> None:
+    """Writes an HDF5 file in the layout of D4RL, version 2: flat arrays with `terminals` and `timeouts`.
+
+    Infos go under `infos`; names, units, bounds and provenance, which the layout has no place for, are kept as a JSON
+    text in `metadata/odaf`. Read back, the rows are the same; give `action_bounds` if they are not [-1, 1].
+
+    Raises:
+        DatasetError: the file cannot be written.
+    """
+    with storage.replacing(path) as partial, h5py.File(partial, "w") as file:
+        for name in ("observations", "actions", "rewards", "next_observations"):
+            file.create_dataset(name, data=getattr(dataset, name))
+        file.create_dataset("terminals", data=dataset.terminated)
+        file.create_dataset("timeouts", data=dataset.truncated)
+        for name, values in dataset.infos.items():
+            file.create_dataset(f"infos/{name}", data=values)
+        content = json.loads(storage.metadata(dataset))
+        content |= {"action_low": dataset.action_low.tolist(), "action_high": dataset.action_high.tolist()}
+        file.create_dataset("metadata/odaf", data=json.dumps(content, sort_keys=True))
+
+
+def to_minari(dataset: Dataset, path: str | os.PathLike[str], identity: str | None = None) -> None:
+    """Writes a folder in the layout of Minari 0.5 with HDF5 data: one group per episode.
+
+    An episode of T steps has T + 1 observations there, so each successor has to be the observation of the next row.
+    Names of columns and provenance are kept as a JSON text under `odaf` in `data/metadata.json`.
+
+    Args:
+        dataset: the data.
+        path: folder to make; it must not exist.
+        identity: the data set's id, such as `tank/valve-v0`; None makes one of the folder's name.
+
+    Raises:
+        DatasetError: the folder exists or cannot be written, or a stored successor differs from the next row.
+    """
+    path = Path(path)
+    if path.exists():
+        raise DatasetError(f"{path}: exists already; name a new folder, or remove it first")
+    _require_shifted(dataset)
+    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    try:
+        try:
+            (partial / "data").mkdir(parents=True)
+            with h5py.File(partial / "data" / "main_data.hdf5", "w", track_order=True) as file:
+                for index in range(dataset.num_episodes):
+                    _write_episode(dataset, index, file.create_group(f"episode_{index}"))
+            size = (partial / "data" / "main_data.hdf5").stat().st_size
+            text = json.dumps(_minari_metadata(dataset, identity or f"{path.name}-v0", size))
+            (partial / "data" / "metadata.json").write_text(text, encoding="utf-8")
+            os.replace(partial, path)
+        finally:
+            shutil.rmtree(partial, ignore_errors=True)
+    except OSError as error:
+        raise DatasetError(
+            f"{path}: cannot be written ({error}); choose a folder that exists and is writable"
+        ) from error
+
+
+def _require_shifted(dataset: Dataset) -> None:
+    inside = ~(dataset.terminated | dataset.truncated)[:-1]
+    differs = (dataset.next_observations[:-1] != dataset.observations[1:]).any(axis=1) & inside
+    if differs.any():
+        rows = np.flatnonzero(differs)
+        raise DatasetError(
+            f"to_minari: {len(rows):,} stored successors differ from the next row's observation, the first in rows "
+            f"{', '.join(map(str, rows[:5]))}; Minari's layout has no place for both: convert to D4RL instead"
+        )
+
+
+def _write_episode(dataset: Dataset, index: int, group: h5py.Group) -> None:
+    rows = dataset.episode(index)
+    group.attrs["id"] = index
+    group.attrs["total_steps"] = rows.stop - rows.start
+    last = dataset.next_observations[rows.stop - 1 : rows.stop]
+    group["observations"] = np.concatenate([dataset.observations[rows], last])
+    group["actions"] = dataset.actions[rows]
+    group["rewards"] = dataset.rewards[rows]
+    group["terminations"] = dataset.terminated[rows]
+    group["truncations"] = dataset.truncated[rows]
+    for name, values in dataset.infos.items():
+        group[f"infos/{name}"] = values[rows]
+
+
+def _minari_metadata(dataset: Dataset, identity: str, size: int) -> dict[str, Any]:
+    endless = [np.inf] * dataset.obs_dim
+    metadata = {
+        "total_episodes": dataset.num_episodes,
+        "total_steps": len(dataset),
+        "data_format": "hdf5",
+        "jpeg_encoding": False,
+        "observation_space": _box([-value for value in endless], endless),
+        "action_space": _box(dataset.action_low.tolist(), dataset.action_high.tolist()),
+        "dataset_id": identity,
+        "minari_version": MINARI_VERSION,
+        "dataset_size": round(size / 1e6, 1),
+        "odaf": storage.metadata(dataset),
+    }
+    spec = _environment_spec(dataset.environment)
+    return metadata if spec is None else metadata | {"env_spec": spec}
+
+
+def _box(low: list[float], high: list[float]) -> str:
+    return json.dumps({"type": "Box", "dtype": "float32", "shape": [len(low)], "low": low, "high": high})
+
+
+def _environment_spec(environment: dict[str, Any] | None) -> str | None:
+    """The environment as Minari names it, where it is one of gymnasium's and gymnasium is there to describe it."""
+    if environment is None or environment.get("name") != "gymnasium" or environment.get("kwargs"):
+        return None
+    try:
+        import gymnasium
+
+        return gymnasium.spec(environment["id"]).to_json()
+    except Exception:  # not installed, or an id it does not know: the data are complete without
+        return None
