@@ -62,9 +62,9 @@ def without_largest(atoms: Float[Array, "atoms rows"], dropped: int) -> Bool[Arr
     """
     index = jnp.arange(atoms.shape[0])[:, None]
 
-    def drop(_: int, kept: Bool[Array, "atoms rows"]) -> Bool[Array, "atoms rows"]:
-        largest = jnp.max(jnp.where(kept, atoms, -jnp.inf), axis=0)
-        first = jnp.min(jnp.where(kept & (atoms == largest), index, atoms.shape[0]), axis=0)
+    def drop(_: Int[Array, ""], kept: Bool[Array, "atoms rows"]) -> Bool[Array, "atoms rows"]:
+        largest = jnp.max(jnp.where(kept, atoms, -jnp.inf), axis=0, keepdims=True)
+        first = jnp.min(jnp.where(kept & (atoms == largest), index, atoms.shape[0]), axis=0, keepdims=True)
         return kept & (index != first)
 
     return jax.lax.fori_loop(0, dropped, drop, jnp.ones(atoms.shape, dtype=bool))
@@ -94,22 +94,22 @@ def _loss_and_slope(quantiles: Array, targets: Array, kept: Array) -> tuple[Arra
 
     def add(sums: tuple[Array, Array], atom: tuple[Array, Array]) -> tuple[tuple[Array, Array], None]:
         target, counts = atom
-        error = target - quantiles
+        error = target[None, :] - quantiles
         clipped = jnp.clip(
             error, -1.0, 1.0
         )  # the derivative of Huber's loss; the loss is clipped * (error - clipped/2)
-        slope = jnp.where(error < 0.0, 1.0 - levels, levels) * clipped * counts
+        slope = jnp.where(error < 0.0, 1.0 - levels, levels) * clipped * counts[None, :]
         return (sums[0] + slope * (error - 0.5 * clipped), sums[1] - slope), None
 
     start = jnp.zeros_like(quantiles), jnp.zeros_like(quantiles)
     (losses, slopes), _ = jax.lax.scan(add, start, (targets, kept.astype(quantiles.dtype)))
-    terms = count * jnp.sum(kept, axis=0)
-    return jnp.sum(losses, axis=0) / terms, (slopes / terms, targets, kept)
+    terms = count * jnp.sum(kept, axis=0).astype(quantiles.dtype)
+    return jnp.sum(losses, axis=0) / terms, (slopes / terms[None, :], targets, kept)
 
 
 def _pull_back(residuals: tuple[Array, Array, Array], cotangents: Array) -> tuple[Array, Array, None]:
     slopes, targets, _ = residuals
-    return slopes * cotangents, jnp.zeros_like(targets), None
+    return slopes * cotangents[None, :], jnp.zeros_like(targets), None
 
 
 quantile_huber_loss.defvjp(_loss_and_slope, _pull_back)
@@ -191,9 +191,9 @@ class TruncatedQuantileCritics(Algorithm[TQCState]):
             critics=critics,
             target_critics=copy_of(critics),
             log_temperature=log_temperature,
-            actor_optimiser=optax.adam(self.learning_rate).init(actor),
-            critic_optimiser=optax.adam(self.learning_rate).init(critics),
-            temperature_optimiser=optax.adam(self.learning_rate).init(log_temperature),
+            actor_optimiser=self._moments(actor),
+            critic_optimiser=self._moments(critics),
+            temperature_optimiser=self._moments(log_temperature),
         )
 
     def target(
@@ -205,8 +205,9 @@ class TruncatedQuantileCritics(Algorithm[TQCState]):
         inputs = jnp.concatenate([batch.next_observations, next_actions], axis=-1)
         atoms = over_members(lambda network: network(inputs).T, state.target_critics).reshape(-1, inputs.shape[0])
         kept = without_largest(atoms, self.num_critics * self.dropped)
-        soft = atoms - jnp.exp(state.log_temperature) * log_density
-        return batch.rewards + self.discount * (1.0 - batch.terminated) * soft, kept
+        soft = atoms - (jnp.exp(state.log_temperature) * log_density)[None, :]
+        alive = self.discount * (1.0 - batch.terminated)
+        return batch.rewards[None, :] + alive[None, :] * soft, kept
 
     def critic_gradient(self, state: TQCState, batch: Transitions, key: PRNGKeyArray) -> tuple[MLP, Metrics]:
         """Gradient of L_Q with respect to the critics."""
@@ -267,6 +268,9 @@ class TruncatedQuantileCritics(Algorithm[TQCState]):
     def act(self, state: TQCState, observations: Float[Array, "rows obs_dim"]) -> Float[Array, "rows act_dim"]:
         """tanh of the actor's mean."""
         return state.actor.mode(observations)
+
+    def _moments(self, parameters: PyTree) -> optax.OptState:
+        return optax.adam(self.learning_rate).init(parameters)
 
     def _adam(self, gradient: PyTree, moments: optax.OptState, parameters: PyTree) -> tuple[PyTree, optax.OptState]:
         updates, moments = optax.adam(self.learning_rate).update(gradient, moments, parameters)

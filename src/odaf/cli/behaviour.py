@@ -1,4 +1,4 @@
-"""`odaf behaviour train`: make the behaviour policies that locomotion data are recorded from."""
+"""`odaf behaviour train` and `export`: make the policies that locomotion data are recorded from, and ship them."""
 
 import os
 from dataclasses import dataclass
@@ -9,6 +9,7 @@ import tyro
 
 from odaf.cli.interrupts import repeatable
 from odaf.cli.options import parse
+from odaf.cli.results import number
 
 
 @dataclass(frozen=True)
@@ -44,3 +45,36 @@ def train(arguments: list[str]) -> None:
     run = OnlineRun(options.task, options.version, options.seed, options.steps, batch_size=options.batch_size)
     with repeatable():
         train_online(run, options.out, default_progress(True))
+
+
+@dataclass(frozen=True)
+class ExportOptions:
+    """Choose medium, expert and replay policies from a training run and put them where `odaf data generate` looks."""
+
+    directory: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIR")]
+    """A directory of `odaf behaviour train`."""
+    policies: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
+    """Folder for the arrays; without it, the installed package's own."""
+    ledger: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("results/behaviour")
+    """Folder for the record of the run and its learning curve."""
+
+
+def export(arguments: list[str]) -> None:
+    """Entry point of `odaf behaviour export`."""
+    options = parse(ExportOptions, arguments, "behaviour export")
+
+    from odaf.environments import shipped_policies
+    from odaf.experiments.behaviour.export import export as export_policies
+    from odaf.training.progress import default_progress
+
+    folder = options.policies or Path(shipped_policies.__file__).with_name("policies")
+    facts = export_policies(options.directory, folder, options.ledger, default_progress(True))
+    for name in ("medium", "expert"):
+        level = facts[name]
+        if level is None:
+            print(f"{name}: not reached yet")
+        else:
+            print(
+                f"{name}: step {level['step']:,}, {facts['environment']} score {number(level['normalised_score'])}, "
+                f"return {number(level['mean_return'])} over {level['episodes']} stochastic episodes"
+            )

@@ -75,13 +75,16 @@ class Simulator:
             raise ConfigError(
                 f"'{self.environment_id}' needs a simulator that is missing ({error}); {_EXTRA}"
             ) from error
-        with warnings.catch_warnings():
-            warnings.simplefilter(
-                "ignore", DeprecationWarning
-            )  # v4 is old by intent: published scores were made with it
-            self._environment: Any = gymnasium.make(self.environment_id, disable_env_checker=True).unwrapped
         self._mujoco: Any = mujoco
-        self._signature = mujoco.mjtState.mjSTATE_INTEGRATION  # type: ignore[attr-defined]
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DeprecationWarning)  # v4 is old by intent: near it scores were published
+            # HalfCheetah's model holds an old word; the simulator would tell the terminal and a file in this folder.
+            self._mujoco.set_mju_user_warning(lambda _: None)
+            try:
+                self._environment: Any = gymnasium.make(self.environment_id, disable_env_checker=True).unwrapped
+            finally:
+                self._mujoco.set_mju_user_warning(None)
+        self._signature = self._mujoco.mjtState.mjSTATE_INTEGRATION
         self._model, self._data = self._environment.model, self._environment.data
 
     def reset(self, seed: int) -> np.ndarray:

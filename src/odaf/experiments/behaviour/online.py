@@ -9,7 +9,7 @@ import dataclasses
 import json
 import shutil
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -149,20 +149,28 @@ def save_policy(path: Path, policy: GaussianPolicy) -> None:
     write_arrays(path, arrays)
 
 
+def load_policy(path: Path) -> GaussianPolicy:
+    """Inverse of `save_policy`."""
+    with np.load(path, allow_pickle=False) as content:
+        layers = range(len(content.files) // 2)
+        weights, biases = ([content[f"{name}_{layer}"] for layer in layers] for name in ("weight", "bias"))
+    return GaussianPolicy(weights, biases)
+
+
 def returns_of(
-    policy: GaussianPolicy, task: Task, version: str, episodes: int, seed: int, stochastic: bool = False
+    policy: GaussianPolicy, simulators: Sequence[Simulator], seed: int, stochastic: bool = False
 ) -> np.ndarray:
-    """[episodes] undiscounted returns; episodes run side by side, each from a seed of its own."""
+    """[bodies] undiscounted returns of one episode in each body, all in step, each from a start of its own."""
+    episodes, act_dim = len(simulators), simulators[0].task.act_dim
     rng = np.random.default_rng(seed)
-    simulators = [Simulator(task, version) for _ in range(episodes)]
     observations = np.stack([simulator.reset(int(rng.integers(2**31))) for simulator in simulators])
     returns, alive = np.zeros(episodes), np.ones(episodes, dtype=bool)
     for _ in range(TIME_LIMIT):
         if stochastic:
-            actions = policy.sample(observations, rng.standard_normal((episodes, task.act_dim), dtype=np.float32))
+            actions = policy.sample(observations, rng.standard_normal((episodes, act_dim), dtype=np.float32))
         else:
             actions = policy.mode(observations)
-        for index in np.flatnonzero(alive):
+        for index in np.flatnonzero(alive).tolist():
             observations[index], reward, terminated = simulators[index].step(actions[index])
             returns[index] += reward
             alive[index] = not terminated
@@ -209,7 +217,7 @@ def _compiled(
 
 
 def _evaluation(run: OnlineRun, task: Task, policy: GaussianPolicy) -> dict[str, Any]:
-    returns = returns_of(policy, task, run.version, run.episodes, seed=run.seed)
+    returns = returns_of(policy, [Simulator(task, run.version) for _ in range(run.episodes)], seed=run.seed)
     return {
         "environment": task.environment_id(run.version),
         "episodes": run.episodes,

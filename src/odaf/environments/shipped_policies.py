@@ -1,0 +1,94 @@
+"""The behaviour policies that come with the package: small arrays, one file a task, and a page of facts beside it.
+
+`policies/TASK.npz` holds the layers of P policies stacked along a first axis, in half precision; `policies/TASK.json`
+says which is which, how they were trained, and what they earn. Both are written by `odaf behaviour export`.
+"""
+
+import io
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+
+from odaf.environments.gaussian_policy import GaussianPolicy
+from odaf.environments.locomotion import Task
+from odaf.errors import ConfigError
+
+
+@dataclass(frozen=True)
+class Phase:
+    """A stretch of a training run: `steps` of its environment steps, played by one snapshot; None plays uniformly."""
+
+    steps: int
+    policy: GaussianPolicy | None
+
+
+@dataclass(frozen=True)
+class ShippedPolicies:
+    """What was learnt for one task.
+
+    Attributes:
+        medium: a policy stopped early; None where none is good enough.
+        expert: a fully trained policy; None where none is good enough.
+        replay: the run up to the medium policy, in order, the uniform start first.
+        facts: the page of facts.
+    """
+
+    medium: GaussianPolicy | None
+    expert: GaussianPolicy | None
+    replay: tuple[Phase, ...]
+    facts: dict[str, Any]
+
+
+def shipped(task: Task) -> ShippedPolicies:
+    """The policies of a task.
+
+    Raises:
+        ConfigError: none are shipped for it.
+    """
+    folder = files("odaf.environments") / "policies"
+    arrays, page = folder / f"{task.name}.npz", folder / f"{task.name}.json"
+    if not (arrays.is_file() and page.is_file()):
+        raise ConfigError(
+            f"no behaviour policies of {task.name} are shipped with this version; train some with "
+            f"`odaf behaviour train {task.name} --out DIR` and add them with `odaf behaviour export DIR`"
+        )
+    with np.load(io.BytesIO(arrays.read_bytes()), allow_pickle=False) as content:
+        layers = {name: content[name] for name in content.files}
+    return unpack_policies(layers, json.loads(page.read_text(encoding="utf-8")))
+
+
+def pack_policies(policies: Sequence[GaussianPolicy]) -> dict[str, np.ndarray]:
+    """Stacked half-precision layers of policies of one shape."""
+    layers = range(len(policies[0].weights))
+    weights = {f"weight_{layer}": np.stack([policy.weights[layer] for policy in policies]) for layer in layers}
+    biases = {f"bias_{layer}": np.stack([policy.biases[layer] for policy in policies]) for layer in layers}
+    return {name: array.astype(np.float16) for name, array in (weights | biases).items()}
+
+
+def unpack_policies(layers: Mapping[str, np.ndarray], facts: Mapping[str, Any]) -> ShippedPolicies:
+    """Inverse of `pack_policies`, told by the page of facts which policy is which.
+
+    Args:
+        layers: the stacked arrays.
+        facts: "medium" and "expert" hold an index and a spread, or are None; "replay" holds a length in steps and an
+            index (None: uniform actions) for each phase.
+    """
+    count = sum(name.startswith("weight_") for name in layers)
+
+    def policy(index: int, spread: float = 1.0) -> GaussianPolicy:
+        weights = [layers[f"weight_{layer}"][index].astype(np.float32) for layer in range(count)]
+        biases = [layers[f"bias_{layer}"][index].astype(np.float32) for layer in range(count)]
+        return GaussianPolicy(weights, biases, spread)
+
+    def level(name: str) -> GaussianPolicy | None:
+        entry = facts.get(name)
+        return None if entry is None else policy(entry["index"], entry["spread"])
+
+    replay = tuple(
+        Phase(phase["steps"], None if phase["index"] is None else policy(phase["index"])) for phase in facts["replay"]
+    )
+    return ShippedPolicies(level("medium"), level("expert"), replay, dict(facts))

@@ -1,0 +1,178 @@
+"""From a training run to the policies that the package ships: which snapshots, in half precision, and what they earn.
+
+Levels are those of the published sets. A level is looked for among all snapshots with stochastic actions and a few
+episodes each; the nearest ones are measured with more episodes and with their noise a little narrower or wider, since
+the public policies' noise is not known; the nearest of those is taken, and as trained where that is near enough.
+"""
+
+import itertools
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from importlib.metadata import version as version_of
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from odaf.environments.gaussian_policy import GaussianPolicy
+from odaf.environments.locomotion import Simulator, Task, task_of
+from odaf.environments.locomotion_acceptance import PUBLISHED
+from odaf.environments.shipped_policies import pack_policies
+from odaf.errors import ConfigError
+from odaf.evaluation.reference_returns import REFERENCES, Reference
+from odaf.experiments.behaviour.online import OnlineRun, load_policy, returns_of
+from odaf.training.files import write_arrays, write_json
+from odaf.training.progress import ProgressReport, Silent
+
+FIRST_LOOK, CLOSE_LOOK = 5, 40  # episodes
+CANDIDATES = 4  # snapshots of a level that get a close look
+SPREADS = (1.0, 0.85, 0.7, 0.5, 1.15, 1.3, 1.5)
+NEAR = 1.0  # points from the target at which noise stays as trained
+MEDIUM_WITHIN, EXPERT_WITHIN = 5.0, 3.0  # points from the target at which a level counts as reached
+PHASES = 20  # snapshots that stand for the run up to the medium policy
+SEED = 7
+
+
+@dataclass(frozen=True)
+class Level:
+    """A snapshot and what it earns with stochastic actions."""
+
+    step: int
+    spread: float
+    episodes: int
+    mean_return: float
+    std_return: float
+    normalised_score: float
+
+
+def export(directory: Path, policies: Path, ledger: Path, progress: ProgressReport | None = None) -> dict[str, Any]:
+    """Choose levels and phases from a run and write them.
+
+    Args:
+        directory: a run directory of `train`; it may still be going on.
+        policies: folder for `TASK.npz` and `TASK.json`, the package's own to ship them.
+        ledger: folder for `TASK-seedSEED.json`, the run's settings and learning curve.
+        progress: hears how many policies were looked at.
+
+    Returns:
+        The page of facts. "expert" says under "reached" whether it is as good as the published set's policy; a
+        medium policy that is not is left out, an expert one is the best there was.
+
+    Raises:
+        ConfigError: there is no run, or it has no snapshots yet.
+    """
+    run, curve = _run_in(directory), _curve_in(directory)
+    task = task_of(run.task, run.version)
+    reference = REFERENCES[task.family]
+    snapshots = {int(path.stem): path for path in sorted((directory / "snapshots").glob("*.npz"))}
+    if not snapshots:
+        raise ConfigError(f"{directory}: no snapshots yet; the first is written after {run.random_steps:,} steps")
+    loaded = {step: _halved(load_policy(path)) for step, path in snapshots.items()}
+    progress = progress or Silent()
+    simulators = [Simulator(task, run.version) for _ in range(CLOSE_LOOK)]
+    progress.start(f"{task.name} snapshots", len(loaded))
+    looks: dict[int, float] = {}
+    for step, policy in loaded.items():
+        returns = returns_of(policy, simulators[:FIRST_LOOK], SEED, stochastic=True)
+        looks[step] = reference.normalise(float(returns.mean()))
+        progress.advance(len(looks), f"score {looks[step]:.1f}")
+    progress.close()
+
+    def search(level: str) -> Level:
+        target = PUBLISHED[f"{task.name}-{level}"][0]
+        near = sorted(looks, key=lambda step: (abs(looks[step] - target), step))[:CANDIDATES]
+        return _nearest({step: loaded[step] for step in near}, simulators, reference, target)
+
+    medium, expert = search("medium"), search("expert")
+    medium_target, expert_target = (PUBLISHED[f"{task.name}-{level}"][0] for level in ("medium", "expert"))
+    medium_reached = abs(medium.normalised_score - medium_target) <= MEDIUM_WITHIN
+    expert_reached = expert.normalised_score >= expert_target - EXPERT_WITHIN
+    phases = _phases(run, list(loaded), medium.step) if medium_reached else []
+    chosen = sorted({step for _, step in phases if step is not None} | {expert.step} | {medium.step})
+    index = {step: position for position, step in enumerate(chosen)}
+    facts = {
+        "task": task.name,
+        "environment": task.environment_id(run.version),
+        "training": {
+            "algorithm": asdict(run.algorithm()),
+            "run": asdict(run),
+            "steps_made": max([*loaded, *(line["step"] for line in curve)]),
+            "command": f"odaf behaviour train {task.name} --seed {run.seed} --batch-size {run.batch_size}",
+        },
+        "steps": chosen,
+        "medium": {"index": index[medium.step], **asdict(medium)} if medium_reached else None,
+        "expert": {"index": index[expert.step], "reached": expert_reached, **asdict(expert)},
+        "replay": [{"steps": steps, "index": None if step is None else index[step]} for steps, step in phases],
+    }
+    policies.mkdir(parents=True, exist_ok=True)
+    write_arrays(policies / f"{task.name}.npz", pack_policies([loaded[step] for step in chosen]))
+    write_json(policies / f"{task.name}.json", facts)
+    ledger.mkdir(parents=True, exist_ok=True)
+    write_json(ledger / f"{task.name}-seed{run.seed}.json", _ledger(run, task, facts, curve, looks))
+    return facts
+
+
+def _nearest(
+    candidates: dict[int, GaussianPolicy], simulators: Sequence[Simulator], reference: Reference, target: float
+) -> Level:
+    """The candidate and spread whose mean score is nearest to the target; the trained spread where that is near."""
+    found: list[Level] = []
+    for spread in SPREADS:
+        for step, policy in candidates.items():
+            returns = returns_of(replace(policy, spread=spread), simulators, SEED + 1, stochastic=True)
+            mean, std = float(returns.mean()), float(returns.std())
+            found.append(Level(step, spread, len(returns), mean, std, reference.normalise(mean)))
+        best = min(found, key=lambda level: abs(level.normalised_score - target))
+        if abs(best.normalised_score - target) <= NEAR:
+            return best
+    return min(found, key=lambda level: abs(level.normalised_score - target))
+
+
+def _phases(run: OnlineRun, snapshots: Sequence[int], end: int) -> list[tuple[int, int | None]]:
+    """(length, snapshot) of consecutive stretches of the run: uniform actions first, then the snapshot nearest to the
+    middle of each stretch."""
+    count = max(1, min(PHASES, (end - run.random_steps) // run.snapshot_every))
+    borders = np.linspace(run.random_steps, end, count + 1).round().astype(int).tolist()
+    phases: list[tuple[int, int | None]] = [(run.random_steps, None)]
+    for low, high in itertools.pairwise(borders):
+        phases.append((high - low, min(snapshots, key=lambda step: abs(step - (low + high) / 2))))
+    return phases
+
+
+def _halved(policy: GaussianPolicy) -> GaussianPolicy:
+    """The policy as it will be after a trip through half precision."""
+    weights, biases = (
+        [array.astype(np.float16).astype(np.float32) for array in arrays] for arrays in (policy.weights, policy.biases)
+    )
+    return GaussianPolicy(weights, biases)
+
+
+def _run_in(directory: Path) -> OnlineRun:
+    path = directory / "config.json"
+    if not path.exists():
+        raise ConfigError(f"{directory}: holds no training run; make one with `odaf behaviour train`")
+    return OnlineRun(**json.loads(path.read_text(encoding="utf-8"))["run"])
+
+
+def _curve_in(directory: Path) -> list[dict[str, Any]]:
+    path = directory / "curve.jsonl"
+    lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
+    return [json.loads(line) for line in lines]
+
+
+def _ledger(
+    run: OnlineRun, task: Task, facts: dict[str, Any], curve: list[dict[str, Any]], looks: dict[int, float]
+) -> dict[str, Any]:
+    """What `results/` keeps of a run."""
+    return {
+        "study": "behaviour",
+        "environment": task.environment_id(run.version),
+        "seed": run.seed,
+        **facts["training"],
+        "versions": {package: version_of(package) for package in ("jax", "gymnasium", "mujoco", "numpy")},
+        "medium": facts["medium"],
+        "expert": facts["expert"],
+        "curve": curve,
+        "stochastic_scores": [{"step": step, "normalised_score": score} for step, score in looks.items()],
+    }
