@@ -45,6 +45,12 @@ COMMANDS = (
         "data generate", "NAME --out FILE", "record a data set from scripted controllers", "odaf.cli.data", "generate"
     ),
     Command("data info", "FILE", "say what a data set holds", "odaf.cli.data", "info"),
+    Command("data import", "FILE --out FILE", "check a log of other people's and keep it", "odaf.cli.data_import"),
+    Command("data check", "FILE", "say whether a log can be learned from", "odaf.cli.data_check"),
+    Command("data plot", "FILE --out FILE", "draw returns, coverage and actions", "odaf.cli.data_plot"),
+    Command("data split", "FILE --train FILE --holdout FILE", "set whole episodes aside", "odaf.cli.data_split"),
+    Command("data mix", "EXPERT OTHER --ratio R --out FILE", "dilute expert data", "odaf.cli.data_mix"),
+    Command("data convert", "FILE --to LAYOUT --out FILE", "write D4RL's or Minari's layout", "odaf.cli.data_convert"),
     Command("train", "PRESET --data FILE --out DIR", "learn policies from a data set", "odaf.cli.train"),
     Command("resume", "DIR", "go on with a run exactly where it stopped", "odaf.cli.resume"),
     Command("evaluate", "DIR", "play episodes with the policies of a run", "odaf.cli.evaluate"),

@@ -1,9 +1,11 @@
 """How results are printed: plain tables that a terminal, a file and a person can read."""
 
+import sys
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from odaf.data.checks import Report
     from odaf.evaluation import Run, Scores
 
 
@@ -72,6 +74,16 @@ def print_run(run: "Run") -> None:
         for warning in summary["warnings"]:
             print(f"\nwarning, seed {seed}: {warning['message']}")
     print(f"\nThe run is in {run.directory}; draw it with: odaf report {run.directory} --out report.html")
+
+
+def print_report(report: "Report") -> None:
+    """What the checks found: coloured on a terminal, plain text 110 wide elsewhere."""
+    if not sys.stdout.isatty():
+        print(report)
+        return
+    from rich.console import Console
+
+    Console().print(report)
 
 
 def _words(name: str) -> str:

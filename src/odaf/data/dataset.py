@@ -420,6 +420,10 @@ class Dataset:
 
         return check_log(self.to_log())
 
+    def with_provenance(self, **entries: Any) -> "Dataset":
+        """The same rows with further entries in `provenance`, or others in the place of old ones; JSON types."""
+        return replace(self, provenance={**self.provenance, **entries}, source="Dataset.with_provenance")
+
     def to_log(self) -> Log:
         """The same rows as a reader would return them; no array is copied."""
         columns: dict[str, Any] = {name: getattr(self, name) for name in COLUMNS}

@@ -23,7 +23,7 @@ class Ends:
         self._start = self._seen = 0  # first row of the episode that is going on; rows so far
         self._shortest, self._longest, self._terminal_ends = np.inf, 0, 0
         self._episodes = 0
-        self._last_ended = False
+        self._last_ended = self._last_terminated = False
 
     def see(self, block: Block) -> None:
         flags = {name: block.columns[name] for name in self._flags}
@@ -42,6 +42,7 @@ class Ends:
             self._unfinished.add(~ended[: len(goes_on)] & ~goes_on, first - 1)
         self._lengths(block)
         self._last_ended = bool(ended[-1])
+        self._last_terminated = bool("terminated" in flags and flags["terminated"][-1])
 
     def _lengths(self, block: Block) -> None:
         begins = np.flatnonzero(block.starts) + block.first
@@ -91,6 +92,8 @@ class Ends:
                     "correct the ids, or leave the id column out to split at the flags",
                 )
             )  # fmt: skip
+        if total or self._with_ids:
+            found += self._without_successor()
         return found + self._unfinished_ends(total) + self._doubtful_terminals()
 
     def _unfinished_ends(self, total: int) -> list[Finding]:
@@ -126,15 +129,30 @@ class Ends:
                 what = f"the last episode has no end flag: its {trailing:,} rows are the trailing ones"
         return [
             Finding(
-                "unfinished-episode", self._unfinished_severity(), "truncated", count,
+                "unfinished-episode", self._unfinished_severity("truncated" in self._flags), "truncated", count,
                 tuple(self._unfinished.rows), what,
                 "they count as cut by the recording; if the task ended there, set the flag",
             )
         ]  # fmt: skip
 
-    def _unfinished_severity(self) -> Severity:
-        # Our own files say how each episode ends; one that does not was edited and will not load.
-        return "error" if self._facts.log.format == "odaf" else "warning"
+    def _unfinished_severity(self, flag_expected: bool = True) -> Severity:
+        # Our own files say how each episode ends; one that does not was edited and will not load. A log without a
+        # column for cuts cannot say it otherwise than by saying nothing.
+        if self._facts.log.format == "odaf":
+            return "error"
+        return "warning" if flag_expected else "note"
+
+    def _without_successor(self) -> list[Finding]:
+        cut = self.episodes - self._terminal_ends - self._last_terminated
+        if "next_observations" in self._facts.fields or cut == 0:
+            return []
+        return [
+            Finding(
+                "no-successor", "note", "next_observations", cut, (),
+                f"no next observations are logged, so what followed the last rows of {cut:,} cut episodes is unknown",
+                "these rows are left out when the data are used; log one observation more",
+            )
+        ]  # fmt: skip
 
     def _doubtful_terminals(self) -> list[Finding]:
         terminals, timeouts = self._marked["terminated"], self._marked["truncated"]

@@ -177,10 +177,10 @@ def draw_curves(
         _plain_powers(axes.yaxis)
     if not single:
         axes.set_xlim(left=0)
-    _style(axes, palette)
+    style_axes(axes, palette)
     step_axis(axes)
     if not logarithmic:
-        _short_values(axes)
+        short_values(axes)
 
 
 def band(curve: Curve) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -238,7 +238,7 @@ def draw_returns(
         text.set_parse_math(False)
     axes.set_ylim(-0.3, len(rows) + 0.25 * max(len(visible), 1))
     axes.set_yticks([])
-    _style(axes, palette, lines="x")
+    style_axes(axes, palette, lines="x")
     axes.set_xlabel("undiscounted return of an episode", color=palette.muted, fontsize=8)
 
 
@@ -286,9 +286,9 @@ def draw_critic(
             axes.yaxis.set_minor_locator(NullLocator())
     if mean.steps.size > 1:
         axes.set_xlim(0, mean.steps[-1])
-    _style(axes, palette)
+    style_axes(axes, palette)
     step_axis(axes)
-    _short_values(axes)
+    short_values(axes)
 
 
 def draw_errors(
@@ -307,7 +307,7 @@ def draw_errors(
     for tick in axes.get_yticklabels():
         tick.set_parse_math(False)
     axes.set_ylim(-0.6, len(names) - 0.4)
-    _style(axes, palette, lines="x")
+    style_axes(axes, palette, lines="x")
     axes.tick_params(axis="y", labelcolor=palette.ink)
 
 
@@ -338,7 +338,8 @@ def plain_number(value: int | float) -> str:
     return f"{value:.2f}" if size >= 1 else f"{value:.3g}"
 
 
-def _short_values(axes: Axes) -> None:
+def short_values(axes: Axes) -> None:
+    """Numbers on the vertical axis written short: 5k, 1.5M."""
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: short_count(value)))
 
 
@@ -348,7 +349,8 @@ def _plain_powers(axis: Axis) -> None:
     axis.set_minor_locator(NullLocator())
 
 
-def _style(axes: Axes, palette: Palette, lines: str = "y") -> None:
+def style_axes(axes: Axes, palette: Palette, lines: str = "y") -> None:
+    """The look that all pictures share: no frame but the bottom line, quiet ticks, a grid across `lines`."""
     for side in ("top", "right", "left"):
         axes.spines[side].set_visible(False)
     axes.spines["bottom"].set_color(palette.muted)

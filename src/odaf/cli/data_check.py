@@ -1,0 +1,61 @@
+"""`odaf data check`: can this log be learned from, and what stands in the way?"""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from odaf.cli.options import parse
+from odaf.cli.readers import ReaderOptions, require_file
+from odaf.cli.results import print_report
+from odaf.cli.rows import rows_bar
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckOptions(ReaderOptions):
+    """Say whether a log can be learned from: what is wrong, in which rows, how often, and what to do.
+
+    Reads files of ours, of D4RL, Minari, OGBench, d3rlpy, LeRobot, Parquet and CSV, in one pass and without holding
+    them in memory. Changes nothing. Ends with 0 if the log is usable, with 1 if it has warnings and --strict is given,
+    with 2 if it has errors. docs/usable.md says what each finding means for learning.
+    """
+
+    file: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FILE")]
+    """File or folder to look at."""
+    strict: bool = False
+    """End with 1 if there are warnings."""
+    json: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    """Write the report there too, with means, spreads and ranges of all columns."""
+    env: Annotated[str | None, tyro.conf.arg(metavar="ID")] = None
+    """Environment whose observations and actions the rows must fit, such as Hopper-v4."""
+
+
+def run(arguments: list[str]) -> int:
+    """Entry point of the command."""
+    options = parse(CheckOptions, arguments, "data check")
+    require_file(options.file)
+
+    from odaf.data.checks import check_file
+
+    widths = None if options.env is None else _widths(options.env)
+    with rows_bar("checking") as progress:
+        report = check_file(options.file, options.format, widths=widths, progress=progress, **options.for_reader())
+    print_report(report)
+    if options.json is not None:
+        text = json.dumps(report.to_dict(), indent=2, allow_nan=False, ensure_ascii=False)
+        options.json.write_text(text + "\n", encoding="utf-8")
+    return report.exit_code(options.strict)
+
+
+def _widths(identity: str) -> tuple[int, int]:
+    """Numbers in an observation and in an action of one of gymnasium's environments."""
+    from odaf.environments import make
+
+    environment = make({"name": "gymnasium", "id": identity})()
+    try:
+        spaces = environment.observation_space, environment.action_space
+        return int(spaces[0].shape[0]), int(spaces[1].shape[0])  # type: ignore[index]
+    finally:
+        environment.close()

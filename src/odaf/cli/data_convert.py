@@ -1,0 +1,40 @@
+"""`odaf data convert`: a data set in the layout that another program reads."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from odaf.cli.options import parse
+
+
+@dataclass(frozen=True)
+class ConvertOptions:
+    """Write a data set in the layout of D4RL (one HDF5 file) or Minari 0.5 (a folder).
+
+    Read back, the rows are the same. Names, units and provenance go along as a JSON text.
+    """
+
+    file: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FILE")]
+    """A file of ours, or one in any layout that says itself what its columns mean."""
+    to: Literal["d4rl", "minari"]
+    """The layout to write."""
+    out: Annotated[Path, tyro.conf.arg(metavar="FILE")]
+    """File to write; for Minari, the folder to make."""
+    id: Annotated[str | None, tyro.conf.arg(metavar="TEXT")] = None
+    """Minari's name of the data set, such as tank/valve-v0; without it, made of the folder's name."""
+
+
+def run(arguments: list[str]) -> None:
+    """Entry point of the command."""
+    options = parse(ConvertOptions, arguments, "data convert")
+
+    from odaf.data import Dataset, convert
+
+    dataset = Dataset.load(options.file)
+    if options.to == "d4rl":
+        convert.to_d4rl(dataset, options.out)
+    else:
+        convert.to_minari(dataset, options.out, options.id)
+    print(f"wrote {options.out}: {len(dataset):,} transitions in the layout of {options.to}")

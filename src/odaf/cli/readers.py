@@ -1,0 +1,89 @@
+"""Options that say how a file of other people's is to be read; each layout takes those that concern it."""
+
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tyro
+
+from odaf.errors import ConfigError
+
+FormatName = Literal["d4rl", "minari", "ogbench", "d3rlpy", "lerobot", "parquet", "csv"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReaderOptions:
+    """How to read a file in another layout than our own. Tables need the names of their columns."""
+
+    format: FormatName | None = None
+    """The layout; without it, it is told from the contents."""
+    observations: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="NAME [NAME ...]")] = None
+    """Columns (tables) or entries (Minari's dictionaries) of what was seen before the action."""
+    actions: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="NAME [NAME ...]")] = None
+    """Columns of what was done."""
+    reward: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
+    """Column of what the action of the same row earned. For OGBench: zero, or an .npy file."""
+    episode: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
+    """Column of ids, equal for the rows of one episode."""
+    terminated: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
+    """Column that says where the task ended by itself."""
+    truncated: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
+    """Column that says where the recording was cut."""
+    time: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
+    """Column of times, in seconds or as dates."""
+    next_observations: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="NAME [NAME ...]")] = None
+    """Columns of what was seen after the action; without them, the next row of the episode is taken."""
+    infos: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="NAME [NAME ...]")] = None
+    """Further columns to keep beside the rows; learners do not see them."""
+    action_bounds: Annotated[tuple[float, ...] | None, tyro.conf.arg(metavar="LOW HIGH [LOW HIGH ...]")] = None
+    """Lowest and highest value: one pair for all actions, or a pair for each in their order."""
+    units: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="NAME=UNIT [NAME=UNIT ...]")] = None
+    """Units of columns, such as level=m; the single word headings reads them from headings such as `level [m]`."""
+    sort_by: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="NAME [NAME ...]")] = None
+    """Sort the rows of a table by these columns first."""
+    on_gap: Literal["break", "error"] | None = None
+    """Where rows are missing by the time column: begin a new episode (the default), or refuse the file."""
+    time_format: Annotated[str | None, tyro.conf.arg(metavar="TEXT")] = None
+    """How dates are written where not by ISO 8601, such as "%d.%m.%Y %H:%M:%S"."""
+    max_episode_steps: Annotated[int | None, tyro.conf.arg(metavar="INT")] = None
+    """The environment's time limit, for D4RL files without time-outs."""
+
+    def for_reader(self) -> dict[str, Any]:
+        """Those options that were given, as `odaf.data.readers.read` takes them."""
+        given = {field.name: getattr(self, field.name) for field in fields(ReaderOptions) if field.name != "format"}
+        given = {name: value for name, value in given.items() if value is not None}
+        if "action_bounds" in given:
+            given["action_bounds"] = _pairs(given["action_bounds"], self.actions)
+        if "units" in given:
+            given["units"] = _units(given["units"])
+        return given
+
+
+def require_file(path: Path) -> None:
+    """Raises `ConfigError` where there is nothing at `path`."""
+    if not path.exists():
+        raise ConfigError(f"{path}: there is no such file; check the path, or make the data first")
+
+
+def _pairs(numbers: tuple[float, ...], names: tuple[str, ...] | None) -> Any:
+    if len(numbers) < 2 or len(numbers) % 2:
+        raise ConfigError(f"--action-bounds: {len(numbers)} numbers were given; give pairs of lowest and highest value")
+    if len(numbers) == 2:
+        return numbers
+    pairs = list(zip(numbers[::2], numbers[1::2], strict=True))
+    if names is None:
+        return tuple(numbers[::2]), tuple(numbers[1::2])
+    if len(names) != len(pairs):
+        raise ConfigError(
+            f"--action-bounds: {len(pairs)} pairs for {len(names)} actions; give one pair, or one for each action"
+        )
+    return dict(zip(names, pairs, strict=True))
+
+
+def _units(words: tuple[str, ...]) -> Any:
+    if words == ("headings",):
+        return "headings"
+    odd = [word for word in words if "=" not in word]
+    if odd:
+        raise ConfigError(f"--units: {odd[0]!r} is no NAME=UNIT; write for instance level=m, or the word headings")
+    return dict(word.split("=", 1) for word in words)
