@@ -1,5 +1,7 @@
 """Files in the D4RL layout, written here by hand in the variants that exist, and rows compared with D4RL's own rule."""
 
+from typing import Any
+
 import h5py
 import numpy as np
 import pytest
@@ -320,7 +322,8 @@ def test_flags_of_another_length(write):
     with pytest.raises(DatasetError, match="field 'timeouts' has 11 rows, 'terminals' has 12"):
         Dataset.load(write(timeouts=columns()["timeouts"][1:]))
     path = write(rewards=columns()["rewards"][1:])
-    for options in ({}, {"d4rl_compat": True}):
+    choices: list[dict[str, Any]] = [{}, {"d4rl_compat": True}]
+    for options in choices:
         with pytest.raises(DatasetError, match="field 'rewards' has 11 rows, '(observations|terminals)' has 12"):
             Dataset.load(path, **options)
 

@@ -36,7 +36,7 @@ def read(
             for discrete actions.
     """
     with storage.opened(path) as (file, source), storage.reading(source):
-        keys = set(file.keys())
+        keys = set(hdf5.keys(file))
         if "columns" in keys or "num_episodes" in keys:
             _refuse_old_version(file, source)
             columns, version = _episodes(path, file, source, keys, observations)

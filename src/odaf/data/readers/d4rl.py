@@ -110,7 +110,7 @@ def behaviour_policy(path: str | os.PathLike[str]) -> dict[str, np.ndarray]:
 
 def refuse_other_layouts(file: h5py.File, source: str) -> None:
     """Raises `DatasetError` where the file holds episodes as groups, or none of the layout's fields."""
-    keys = list(file.keys())
+    keys = hdf5.keys(file)
     if any(key.startswith("episode_") for key in keys):
         raise DatasetError(
             f"{source}: holds one group per episode ({', '.join(keys[:3])}, ...), as Minari writes; "

@@ -76,7 +76,7 @@ def _hdf5(path: Path) -> str:
         if storage.is_own(file, source):
             return "odaf"
         with storage.reading(source):
-            keys = list(file.keys())
+            keys = hdf5.keys(file)
         groups = [key for key in keys if minari.EPISODE.fullmatch(key)]
         flat = [name for name in d4rl.REQUIRED if name in keys]
         if groups and not flat:

@@ -32,7 +32,7 @@ def dataset(file: h5py.File, source: str, name: str) -> h5py.Dataset:
     for part in name.split("/"):
         if not isinstance(place, h5py.Group) or (link := place.get(part, getlink=True)) is None:
             raise DatasetError(
-                f"{source}: field '{name}' is missing; the file has {shown(file.keys())}: "
+                f"{source}: field '{name}' is missing; the file has {shown(keys(file))}: "
                 "rename the column or generate the file again"
             )
         if not isinstance(link, h5py.HardLink):
@@ -75,6 +75,11 @@ def scalar(file: h5py.File, source: str, name: str) -> str | int | float | bool:
     if not isinstance(value, (str, int, float, bool)):
         raise DatasetError(f"{source}: field '{name}' is no single text or number; generate the file again")
     return value
+
+
+def keys(group: h5py.Group) -> list[str]:
+    """Names in a group. Those that are no UTF-8 text, which a damaged file may have, come with marks in their place."""
+    return [_text(name) for name in group]
 
 
 def column(path: str | os.PathLike[str], file: h5py.File, source: str, name: str) -> Column:
@@ -127,14 +132,18 @@ def arrays_below(file: h5py.File, source: str, name: str = "") -> list[str]:
     if not isinstance(place, h5py.Group):
         return []
     paths: list[str] = []
-    place.visititems(lambda path, item: paths.append(path) if isinstance(item, h5py.Dataset) else None)
+    place.visititems(lambda path, item: paths.append(_text(path)) if isinstance(item, h5py.Dataset) else None)
     return sorted(f"{name}/{path}" if name else path for path in paths)
 
 
-def shown(names: Iterable[str], limit: int = 12) -> str:
+def shown(texts: Iterable[str], limit: int = 12) -> str:
     """A sorted list for a message, cut where it grows long."""
-    texts = sorted(names)
-    return str(texts) if len(texts) <= limit else f"{texts[:limit]} and {len(texts) - limit:,} more"
+    ordered = sorted(texts)
+    return str(ordered) if len(ordered) <= limit else f"{ordered[:limit]} and {len(ordered) - limit:,} more"
+
+
+def _text(name: str | bytes) -> str:
+    return name if isinstance(name, str) else name.decode(errors="replace")
 
 
 def _read(path: str, names: tuple[str, ...], wanted: Sequence[tuple[int, int, int]]) -> list[np.ndarray]:

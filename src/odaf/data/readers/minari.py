@@ -124,7 +124,7 @@ class Hdf5Episodes:
     def __init__(self, path: Path):
         self._path = path
         with storage.opened(path) as (file, source), storage.reading(source):
-            names = list(file.keys())
+            names = hdf5.keys(file)
             strange = [name for name in names if not EPISODE.fullmatch(name)]
             if strange or not names:
                 raise DatasetError(

@@ -5,7 +5,7 @@ import math
 import os
 import zipfile
 from collections.abc import Iterator
-from typing import IO
+from typing import Any
 
 import numpy as np
 from numpy.lib import format as npy
@@ -83,14 +83,14 @@ def holds_objects(path: str | os.PathLike[str]) -> bool:
         return _heading(handle)[1].hasobject
 
 
-def _heading(handle: IO[bytes]) -> tuple[tuple[int, ...], np.dtype]:
+def _heading(handle: Any) -> tuple[tuple[int, ...], np.dtype]:
     version = npy.read_magic(handle)
     read = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
     shape, _, dtype = read(handle)
     return shape, dtype
 
 
-def _array(handle: IO[bytes], source: str, name: str, size: int) -> np.ndarray:
+def _array(handle: Any, source: str, name: str, size: int) -> np.ndarray:
     shape, dtype = _heading(handle)
     if dtype.hasobject:
         raise DatasetError(
