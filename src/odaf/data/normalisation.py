@@ -8,6 +8,7 @@ import numpy as np
 
 from odaf.errors import DatasetError
 
+_PIECE = 65_536  # rows
 Numbers = TypeVar("Numbers")  # a NumPy or a JAX array; what goes in decides what comes out
 
 
@@ -54,11 +55,11 @@ class Normaliser:
             raise DatasetError(
                 f"normaliser: observations must be [rows, obs_dim] with at least one row, got {np.shape(observations)}"
             )
-        return cls(
-            mean=np.asarray(np.mean(observations, axis=0, dtype=np.float64)),
-            std=np.asarray(np.std(observations, axis=0, dtype=np.float64)),
-            epsilon=epsilon,
-        )
+        mean = np.asarray(np.mean(observations, axis=0, dtype=np.float64))
+        squares = np.zeros(observations.shape[1])
+        for first in range(0, len(observations), _PIECE):  # in pieces: a copy in double precision is twice the data
+            squares += np.square(observations[first : first + _PIECE] - mean).sum(axis=0)
+        return cls(mean=mean, std=np.sqrt(squares / len(observations)), epsilon=epsilon)
 
     @classmethod
     def identity(cls, obs_dim: int) -> "Normaliser":
@@ -67,7 +68,9 @@ class Normaliser:
 
     def normalise(self, observations: Numbers) -> Numbers:
         """User's units to learner's; the last axis is `obs_dim`."""
-        return (observations - _aligned(self.mean, observations)) / _aligned(self.scale, observations)  # type: ignore
+        shifted = observations - _aligned(self.mean, observations)  # type: ignore
+        shifted /= _aligned(self.scale, observations)  # in place where that is possible: the rows may be many
+        return shifted
 
     def denormalise(self, observations: Numbers) -> Numbers:
         """Learner's units to the user's."""

@@ -35,8 +35,10 @@ def device_columns(
     )
 
 
-def _n_step(dataset: Dataset, steps: int, discount: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _n_step(dataset: Dataset, steps: int, discount: float) -> tuple[np.ndarray, np.ndarray | slice, np.ndarray | slice]:
     """(n-step rewards, row that holds the n-step successor, row it belongs to), each [kept rows]."""
+    if steps == 1:
+        return dataset.rewards, slice(None), slice(None)  # all rows, without a copy of them
     rows = np.arange(len(dataset))
     lengths = dataset.episode_lengths()
     stops = np.repeat(dataset.episode_starts + lengths, lengths)
@@ -46,8 +48,6 @@ def _n_step(dataset: Dataset, steps: int, discount: float) -> tuple[np.ndarray, 
         raise DatasetError(
             f"return_steps={steps}: no episode has so many steps (the longest has {lengths.max()}); choose fewer"
         )
-    if steps == 1:
-        return dataset.rewards, last, kept
     total = np.zeros(len(dataset))
     for ahead in range(steps):
         inside = rows + ahead < stops

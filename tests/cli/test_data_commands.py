@@ -1,0 +1,178 @@
+"""Import, check, convert, mix, split and plot from the command line."""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from odaf.cli import main
+from odaf.cli.readers import ReaderOptions
+from odaf.data import Dataset
+from odaf.errors import ConfigError
+
+TABLE = [
+    "--observations",
+    "level",
+    "flow",
+    "--actions",
+    "valve",
+    "--reward",
+    "profit",
+    "--episode",
+    "batch",
+    "--terminated",
+    "tripped",
+]
+
+
+def write_table(path: Path, **spoiled) -> Path:
+    """A log of thirty batches of a hundred rows as a plant would export it; every second batch trips."""
+    rng = np.random.default_rng(0)
+    rows = 3_000
+    columns = {
+        "level": rng.normal(size=rows).cumsum() / 50,
+        "flow": rng.normal(size=rows),
+        "valve": rng.uniform(1, 99, rows),
+        "profit": rng.normal(size=rows),
+        "batch": np.repeat(np.arange(30), 100),
+        "tripped": (np.arange(rows) % 200 == 199).astype(int),
+        **spoiled,
+    }
+    lines = [",".join(columns), *(",".join(map(str, row)) for row in zip(*columns.values(), strict=True))]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+@pytest.fixture(scope="module")
+def valve(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("plant")
+    out = folder / "valve.h5"
+    words = ["data", "import", str(write_table(folder / "log.csv")), "--out", str(out), *TABLE]
+    assert main([*words, "--action-bounds", "0", "100", "--units", "level=m", "valve=%"]) == 0
+    return out
+
+
+def test_import_keeps_names_units_bounds_and_the_report(valve: Path):
+    dataset = Dataset.load(valve)
+    assert (dataset.observation_names, dataset.action_names) == (("level", "flow"), ("valve",))
+    assert (dataset.observation_units, dataset.action_units) == (("m", ""), ("%",))
+    assert (dataset.action_low.tolist(), dataset.action_high.tolist()) == ([0.0], [100.0])
+    assert (len(dataset), dataset.num_episodes) == (2_985, 30)
+    validation = dataset.provenance["validation"]
+    assert validation["verdict"].startswith("usable")
+    assert [finding["check"] for finding in validation["findings"]] == ["no-successor", "unfinished-episode"]
+    assert re.fullmatch(r"[0-9a-f]{64}", dataset.provenance["file_sha256"])
+
+
+def test_a_log_with_errors_is_not_imported(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    table = write_table(tmp_path / "log.csv", valve=np.arange(3_000) % 4)
+    words = ["data", "import", str(table), "--out", str(tmp_path / "valve.h5"), *TABLE]
+    assert main(words) == 2
+    err = capsys.readouterr().err
+    assert "whole numbers 0 to 3" in err
+    assert len(err.splitlines()) == 1
+    assert not (tmp_path / "valve.h5").exists()
+    assert main([*words, "--accept", "actions-discrete"]) == 0
+
+
+def test_check_exits_with_what_it_found(valve: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    assert main(["data", "check", str(valve), "--strict"]) == 0
+    table = write_table(tmp_path / "log.csv", profit=np.zeros(3_000, int))
+    words = ["data", "check", str(table), *TABLE, "--action-bounds", "0", "100"]
+    capsys.readouterr()
+    assert main(words) == 0
+    assert "reward-constant" in capsys.readouterr().out
+    assert main([*words, "--strict"]) == 1
+    assert main([*words[:-1], "50"]) == 2
+
+
+def test_check_numbers_rows_as_the_spreadsheet_does_and_writes_json(tmp_path: Path):
+    valve = np.linspace(1, 99, 3_000)
+    valve[7] = 120.0
+    table = write_table(tmp_path / "log.csv", valve=valve)
+    report = tmp_path / "report.json"
+    words = ["data", "check", str(table), *TABLE, "--action-bounds", "0", "100", "--json", str(report)]
+    assert main(words) == 2
+    content = json.loads(report.read_text(encoding="utf-8"))
+    assert content["usable"] is False
+    (finding,) = (finding for finding in content["findings"] if finding["severity"] == "error")
+    assert (finding["check"], finding["rows"]) == ("actions-outside-bounds", [9])  # the headings are row 1
+
+
+def test_check_of_a_file_that_cannot_be_read(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    (tmp_path / "log.h5").write_bytes(b"nothing that anyone would call data")
+    assert main(["data", "check", str(tmp_path / "log.h5")]) == 2
+    assert "unreadable" in capsys.readouterr().out
+    assert main(["data", "check", str(tmp_path / "none.h5")]) == 2
+    assert "there is no such file" in capsys.readouterr().err
+
+
+def test_check_against_an_environment(valve: Path, capsys: pytest.CaptureFixture[str]):
+    pytest.importorskip("gymnasium")
+    assert main(["data", "check", str(valve), "--env", "Pendulum-v1"]) == 2
+    assert "needs 3" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("layout", ["d4rl", "minari"])
+def test_convert_and_back(layout: str, valve: Path, tmp_path: Path):
+    assert main(["data", "convert", str(valve), "--to", layout, "--out", str(tmp_path / "other")]) == 0
+    bounds = {"action_bounds": (0.0, 100.0)} if layout == "d4rl" else {}
+    read, original = Dataset.load(tmp_path / "other", **bounds), Dataset.load(valve)
+    np.testing.assert_array_equal(read.observations, original.observations)
+    np.testing.assert_array_equal(read.truncated, original.truncated)
+    np.testing.assert_array_equal(read.episode_starts, original.episode_starts)
+
+
+def test_split_then_mix(valve: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    train, holdout, mixed = (str(tmp_path / name) for name in ("train.h5", "holdout.h5", "mixed.h5"))
+    assert main(["data", "split", str(valve), "--train", train, "--holdout", holdout, "--share", "0.5"]) == 0
+    assert (Dataset.load(train).num_episodes, Dataset.load(holdout).num_episodes) == (15, 15)
+    words = ["data", "mix", train, holdout, "--ratio", "0.9", "--transitions", "1000", "--out", mixed]
+    assert main(words) == 0
+    assert f"100 rows of {train}, 900 of {holdout}" in capsys.readouterr().out
+    np.testing.assert_array_equal(Dataset.load(mixed).rewards[100:], Dataset.load(holdout).rewards[:900])
+
+
+def test_plot_is_one_page_that_stands_alone(valve: Path, tmp_path: Path):
+    assert main(["data", "plot", str(valve), "--out", str(tmp_path / "valve.html"), "--title", "<Valve>"]) == 0
+    page = (tmp_path / "valve.html").read_text(encoding="utf-8")
+    assert not re.findall(r"https?:|//[a-z]|<script|<img|<link", page), "something from outside"
+    assert page.count("<svg") == 4  # returns, lengths, coverage, one action
+    assert "&lt;Valve&gt;" in page
+    explained = [int(share) for share in re.findall(r"component, (\d+)% of the variance", page)]
+    assert len(explained) == 2
+    assert 98 <= sum(explained) <= 102  # two columns: the two axes hold everything
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        ({"action_bounds": (0.0, 1.0)}, {"action_bounds": (0.0, 1.0)}),
+        (
+            {"action_bounds": (0.0, 1.0, -1.0, 2.0), "actions": ("a", "b")},
+            {"action_bounds": {"a": (0.0, 1.0), "b": (-1.0, 2.0)}, "actions": ("a", "b")},
+        ),
+        ({"action_bounds": (0.0, 1.0, -1.0, 2.0)}, {"action_bounds": ((0.0, -1.0), (1.0, 2.0))}),
+        ({"units": ("headings",)}, {"units": "headings"}),
+        ({"units": ("level=m", "valve=a=b")}, {"units": {"level": "m", "valve": "a=b"}}),
+        ({"format": "csv"}, {}),
+    ],
+)
+def test_options_as_the_reader_takes_them(given: dict, expected: dict):
+    assert ReaderOptions(**given).for_reader() == expected
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        {"action_bounds": (1.0,)},
+        {"action_bounds": (1.0, 2.0, 3.0)},
+        {"action_bounds": (0.0, 1.0, 0.0, 1.0), "actions": ("a",)},
+        {"units": ("level",)},
+    ],
+)
+def test_options_that_make_no_sense(given: dict):
+    with pytest.raises(ConfigError, match="--(action-bounds|units): "):
+        ReaderOptions(**given).for_reader()
