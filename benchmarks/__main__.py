@@ -2,7 +2,9 @@
 
 from pathlib import Path
 
-from benchmarks import updates_per_second
+from benchmarks import import_table, updates_per_second
 
 if __name__ == "__main__":
-    updates_per_second.main(["--json", str(Path(__file__).parent / "last" / "updates_per_second.json")])
+    for script in (updates_per_second, import_table):
+        name = script.__name__.rpartition(".")[2]
+        script.main(["--json", str(Path(__file__).parent / "last" / f"{name}.json")])

@@ -1,8 +1,8 @@
 """Columns of CSV files, Parquet files and frames: what they become, and what is said of cells that cannot be used."""
 
 import datetime
-import importlib.util
 import json
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -34,6 +34,10 @@ def tank(rows=10, steps=5):
     )
 
 
+def column(log, field) -> np.ndarray:
+    return np.asarray(log.columns[field])
+
+
 def csv_file(folder, text, encoding="utf-8"):
     path = folder / "log.csv"
     path.write_bytes(text.encode(encoding))
@@ -42,10 +46,10 @@ def csv_file(folder, text, encoding="utf-8"):
 
 def check_tank(log):
     index = np.arange(10.0)
-    np.testing.assert_array_equal(log.columns["observations"], np.stack([index + 0.25, -index], axis=1))
-    np.testing.assert_array_equal(log.columns["actions"][:, 0], 2.0 * index)
-    np.testing.assert_array_equal(np.ravel(log.columns["rewards"]), 10.0 * index)
-    np.testing.assert_array_equal(log.columns["episode"], np.repeat([0, 1], 5))
+    np.testing.assert_array_equal(column(log, "observations"), np.stack([index + 0.25, -index], axis=1))
+    np.testing.assert_array_equal(column(log, "actions")[:, 0], 2.0 * index)
+    np.testing.assert_array_equal(np.ravel(column(log, "rewards")), 10.0 * index)
+    np.testing.assert_array_equal(column(log, "episode"), np.repeat([0, 1], 5))
     assert log.observation_names == ("level", "flow") and log.action_names == ("valve",)
 
 
@@ -126,8 +130,8 @@ def test_frames_with_the_interface_of_pandas():
     columns["batch"] = np.array([f"b{batch}" for batch in columns["batch"]], object)
     columns["level"] = columns["level"].astype(object)  # as pandas holds nullable numbers
     log = tables.from_frame(Frame(columns), **ROLES)
-    np.testing.assert_array_equal(log.columns["observations"][:, 0], np.arange(10) + 0.25)
-    assert log.columns["episode"].tolist() == ["b0"] * 5 + ["b1"] * 5
+    np.testing.assert_array_equal(column(log, "observations")[:, 0], np.arange(10) + 0.25)
+    assert column(log, "episode").tolist() == ["b0"] * 5 + ["b1"] * 5
     columns["level"][3] = ...
     with pytest.raises(DatasetError, match=r"frame: column 'level' has no value \(empty or NaN\) in row 3"):
         tables.from_frame(Frame(columns), **ROLES)
@@ -136,10 +140,8 @@ def test_frames_with_the_interface_of_pandas():
         tables.from_frame(Frame(columns), **ROLES)
 
 
-@pytest.mark.skipif(importlib.util.find_spec("pandas") is None, reason="pandas is not installed")
 def test_pandas_frames():
-    import pandas
-
+    pandas = pytest.importorskip("pandas")
     frame = pandas.DataFrame({name: tank()[name].to_numpy() for name in tank().columns})
     check_tank(tables.from_frame(frame, **ROLES))
     frame["level"] = frame["level"].astype("Float64")
@@ -211,8 +213,8 @@ def test_spaces_around_numbers_and_words_for_flags(tmp_path):
         f"a, {i}.5 ,1,2,3,{'Yes' if i == 3 else 'no'}\n" for i in range(4)
     )
     log = tables.read(csv_file(tmp_path, text), **ROLES, terminated="end")
-    assert log.columns["observations"][:, 0].tolist() == [0.5, 1.5, 2.5, 3.5]
-    assert log.columns["terminated"].tolist() == [False, False, False, True]
+    assert column(log, "observations")[:, 0].tolist() == [0.5, 1.5, 2.5, 3.5]
+    assert column(log, "terminated").tolist() == [False, False, False, True]
 
 
 def test_units_from_headings_only_when_asked(tmp_path):
@@ -241,8 +243,8 @@ def test_lists_in_cells_become_columns(tmp_path):
     frame.write_parquet(tmp_path / "log.parquet")
     roles = {"observations": ["state"], "actions": ["action"], "reward": "profit", "episode": 0}
     log = tables.read(tmp_path / "log.parquet", **roles, next_observations=["next"], action_bounds={"action": (-9, 9)})
-    np.testing.assert_array_equal(log.columns["observations"], np.arange(1.0, 10.0).reshape(3, 3))
-    np.testing.assert_array_equal(log.columns["actions"], np.arange(6.0).reshape(3, 2))
+    np.testing.assert_array_equal(column(log, "observations"), np.arange(1.0, 10.0).reshape(3, 3))
+    np.testing.assert_array_equal(column(log, "actions"), np.arange(6.0).reshape(3, 2))
     assert log.observation_names == ("state_0", "state_1", "state_2") and log.action_names == ("action_0", "action_1")
     dataset = log.to_dataset()
     assert len(dataset) == 3 and dataset.action_low.tolist() == [-9.0, -9.0]
@@ -256,7 +258,7 @@ def test_dates_become_seconds(tmp_path):
     frame = tank().with_columns(pl.Series("time", moments))
     for form in ("parquet", "iso", "german"):
         path = tmp_path / f"log.{form}"
-        options = {}
+        options: dict[str, Any] = {}
         if form == "parquet":
             frame.write_parquet(path)
         elif form == "iso":
@@ -265,14 +267,14 @@ def test_dates_become_seconds(tmp_path):
             frame.with_columns(pl.col("time").dt.strftime("%d.%m.%Y %H:%M:%S%.f")).write_csv(path)
             options = {"time_format": "%d.%m.%Y %H:%M:%S%.f"}
         log = tables.read(path, **ROLES, time="time", **options)
-        np.testing.assert_allclose(np.diff(log.columns["time"])[:4], 0.5)
+        np.testing.assert_allclose(np.diff(column(log, "time"))[:4], 0.5)
         assert log.provenance["time_step"] == 0.5
 
 
 def test_missing_cells_can_be_kept_as_nan(tmp_path):
     path = csv_file(tmp_path, "batch,level,flow,valve,profit\n0,1,2,3,4\n0,NA,,3,4\n0,1,nan,3,4\n")
     log = tables.read(path, **ROLES, on_missing="nan")
-    np.testing.assert_array_equal(np.isnan(log.columns["observations"]), [[0, 0], [1, 1], [0, 1]])
+    np.testing.assert_array_equal(np.isnan(column(log, "observations")), [[0, 0], [1, 1], [0, 1]])
 
 
 def test_infos_are_kept_beside_the_rows():
@@ -329,7 +331,7 @@ def test_csv_trouble_names_file_column_rows_and_remedy(name, tmp_path):
     text, options, message = CSV_TROUBLE[name]
     path = csv_file(tmp_path, text)
     if message is None:
-        assert tables.read(path, **{**ROLES, **options}).columns["terminated"].sum() == 7
+        assert column(tables.read(path, **{**ROLES, **options}), "terminated").sum() == 7
         return
     with pytest.raises(DatasetError, match=message) as caught:
         tables.read(path, **{**ROLES, **options})
@@ -384,6 +386,7 @@ FRAME_TROUBLE = {
     "list of text": (pl.Series("level", [["a"]] * 10), r"'level' holds cells of type List\(String\)"),
     "flag": (pl.Series("tripped", [0, 1, 2, 0, 0, 0, 0, 0, 0, 0]), r"'tripped' is neither true nor false in row 2"),
     "text flag": (pl.Series("tripped", ["no"] * 10), "'tripped' holds text"),
+    "no flags": (pl.Series("tripped", [None] * 10), "'tripped' has no value in 10 of 10 rows"),
     "null flag": (pl.Series("tripped", [False] * 9 + [None]), "'tripped' has no value in row 9"),
     "null id": (pl.Series("batch", [0] * 9 + [None]), "'batch' has no value in row 9; every row needs the id"),
     "list id": (pl.Series("batch", [[0]] * 10), r"'batch' holds cells of type List\(Int64\)"),
@@ -411,6 +414,12 @@ def test_what_is_no_table_is_refused(tmp_path):
         tables.from_frame({0: [1.0]}, **ROLES)
     with pytest.raises(DatasetError, match=r"column 'level' has 3 rows, there should be 10"):
         tables.from_frame({name: tank()[name].to_numpy() for name in tank().columns} | {"level": np.zeros(3)}, **ROLES)
+    with pytest.raises(DatasetError, match=r"column 'level' is 3; give a sequence with one entry per step"):
+        tables.from_frame({"level": 3, "flow": [1.0], "valve": [1.0], "profit": [1.0]}, **{**ROLES, "episode": 0})
+    with pytest.raises(DatasetError, match=r"column 'level' holds cells of type Object, not numbers in 2 of 2 rows"):
+        tables.from_frame(
+            {"level": [1j, 2j], "flow": [1, 2], "valve": [0, 1], "profit": [1, 2], "batch": [0, 0]}, **ROLES
+        )
     with pytest.raises(DatasetError, match="there is no such file"):
         tables.read(tmp_path / "none.csv", **ROLES)
     with pytest.raises(DatasetError, match="is a folder"):
@@ -427,5 +436,5 @@ def test_what_is_no_table_is_refused(tmp_path):
 def test_arrays_of_a_log_are_shared_with_the_dataset_not_copied():
     log = tables.from_frame(tank(), **ROLES, next_observations=["flow", "level"], action_bounds=BOUNDS)
     dataset = log.to_dataset()
-    assert np.shares_memory(dataset.observations, log.columns["observations"])
+    assert np.shares_memory(dataset.observations, column(log, "observations"))
     assert not dataset.observations.flags.writeable

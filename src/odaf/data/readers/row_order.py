@@ -7,7 +7,7 @@ from typing import Any, Literal
 import numpy as np
 import polars as pl
 
-from odaf.data.readers.table_cells import name_rows
+from odaf.data.readers.table_cells import RowNumbers, name_rows
 from odaf.errors import DatasetError
 
 OnGap = Literal["error", "break"]
@@ -49,7 +49,7 @@ def first_rows(episode: np.ndarray | None, ends: np.ndarray | None, rows: int) -
     return first
 
 
-def refuse_scattered(source: str, column: str, episode: np.ndarray, numbers: Sequence[int], remedy: str) -> None:
+def refuse_scattered(source: str, column: str, episode: np.ndarray, numbers: RowNumbers, remedy: str) -> None:
     """Raises where an episode id comes back after another one."""
     starts = np.flatnonzero(first_rows(episode, None, len(episode)))
     ids, counts = np.unique(episode[starts], return_counts=True)
@@ -68,7 +68,7 @@ def read_clock(
     column: str,
     time: np.ndarray,
     first: np.ndarray,
-    numbers: Sequence[int],
+    numbers: RowNumbers,
     *,
     time_step: float | None,
     on_gap: OnGap,
@@ -129,7 +129,7 @@ def read_clock(
                 "uneven-sampling",
                 uneven,
                 f"the usual step differs between episodes, from {low:.6g} to {high:.6g}, so equal actions do not have "
-                f"equal effects: {name_rows(uneven, numbers)} belong to episodes off the usual {common:.6g}",
+                f"equal effects; off the commonest, {common:.6g}, are the episodes of {name_rows(uneven, numbers)}",
             )
         )
     return Clock(gaps, common, tuple(findings))

@@ -13,6 +13,9 @@ from odaf.errors import DatasetError
 
 OnMissing = Literal["error", "nan"]
 
+# What messages call each row.
+RowNumbers = Sequence[int] | np.ndarray
+
 _TRUE = ("true", "t", "yes", "1", "1.0")
 _FALSE = ("false", "f", "no", "0", "0.0")
 _MISSING = ("", "na", "n/a", "null", "none")
@@ -35,12 +38,12 @@ class Cells:
     source: str
     name: str
     values: pl.Series
-    numbers: Sequence[int]
+    numbers: RowNumbers
     parsed: bool = False
     decimal_comma: bool = False
 
 
-def name_rows(mask: np.ndarray, numbers: Sequence[int] | np.ndarray, limit: int = 5) -> str:
+def name_rows(mask: np.ndarray, numbers: RowNumbers, limit: int = 5) -> str:
     """`3 of 40 rows, the first of them 2, 9, 14`; `mask` [rows] marks them, `numbers` [rows] names each."""
     marked = np.flatnonzero(mask)
     shown = ", ".join(str(int(numbers[int(index)])) for index in marked[:limit])
@@ -86,8 +89,8 @@ def as_flags(cells: Cells) -> np.ndarray:
     elif values.dtype == pl.Boolean:
         odd = pl.Series([False]).new_from_index(0, len(values))
     elif _is_plain(values.dtype) or values.dtype == pl.Null:
-        odd = ((values != 0) & (values != 1)).fill_null(False)
         values = values.cast(pl.Float64)
+        odd = ((values != 0) & (values != 1)).fill_null(False) & ~values.is_nan().fill_null(False)
     else:
         _refuse_type(cells)
     if odd.any():

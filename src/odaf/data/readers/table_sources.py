@@ -247,7 +247,7 @@ def frame_table(frame: Any, source: str) -> Table:
         odd = next(name for name in names if not isinstance(name, str))
         raise DatasetError(f"{source}: column name {odd!r} is not a text; rename the columns")
     unique = [name for name in names if names.count(name) == 1]
-    rows = len(frame[unique[0]]) if unique else 0
+    rows = len(_series(source, unique[0], frame[unique[0]])) if unique else 0
     return Table(source, "frame", names, rows, lambda name: _series(source, name, frame[name]))
 
 
@@ -255,6 +255,8 @@ def _series(source: str, name: str, column: Any) -> pl.Series:
     """A column of any kind; pandas' marks for missing values become null."""
     if isinstance(column, pl.Series):
         return column
+    if not hasattr(column, "__len__"):
+        raise DatasetError(f"{source}: column '{name}' is {column!r:.40}; give a sequence with one entry per step")
     try:
         array = np.asarray(column.to_numpy() if hasattr(column, "to_numpy") else column)
     except ValueError:  # lists of different lengths

@@ -14,7 +14,7 @@ import numpy as np
 from odaf.data.log import Log
 from odaf.data.readers import row_order, table_cells, table_sources
 from odaf.data.readers.row_order import OnGap
-from odaf.data.readers.table_cells import OnMissing
+from odaf.data.readers.table_cells import OnMissing, RowNumbers
 from odaf.data.readers.table_meaning import Meaning, Units
 from odaf.data.readers.table_sources import Table
 from odaf.data.validation import Bounds
@@ -185,7 +185,7 @@ def build(table: Table, meaning: Meaning) -> Log:
     infos = {name: array[:, 0] if array.shape[1] == 1 else array for name, array in infos.items()}
 
     findings: list[dict[str, Any]] = []
-    numbers: Any = table.numbers
+    numbers: RowNumbers = table.numbers
     if meaning.sort_by:
         numbers = _sort(table, meaning, columns, infos, findings)
     facts = _order_and_gaps(table, meaning, columns, numbers, findings)
@@ -269,7 +269,7 @@ def _order_and_gaps(
     table: Table,
     meaning: Meaning,
     columns: dict[str, np.ndarray],
-    numbers: Sequence[int],
+    numbers: RowNumbers,
     findings: list[dict[str, Any]],
 ) -> dict[str, Any]:
     """Refuses rows out of order, ends episodes at gaps; returns facts for the provenance."""
