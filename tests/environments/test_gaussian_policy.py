@@ -15,7 +15,7 @@ def pair() -> tuple[GaussianActor, GaussianPolicy]:
     """One actor twice, with outputs that are not tiny and log standard deviations on both sides of their limits."""
     network = init_gaussian_actor(jr.key(0), 4, 2, (8, 8)).network
     last = np.random.default_rng(1).normal(size=(8, 4)).astype(np.float32)
-    weights = (*network.weights[:-1], jnp.asarray(6.0 * last))
+    weights = (*network.weights[:-1], jnp.asarray(last * np.array([0.2, 0.2, 40.0, 40.0], np.float32)))
     actor = GaussianActor(dataclasses.replace(network, weights=weights))
     return actor, GaussianPolicy([np.asarray(w) for w in weights], [np.asarray(b) for b in network.biases])
 
@@ -30,7 +30,10 @@ def test_actions_and_densities_agree_with_the_actor():
     actions, densities = policy.sample_with_density(observations, noise)
     expected, log_density = actor.sample(jnp.asarray(observations), jnp.asarray(noise))
     np.testing.assert_allclose(actions, expected, atol=1e-5)
-    np.testing.assert_allclose(densities, log_density, rtol=1e-4, atol=2e-2)  # saturated actions amplify rounding
+    free = np.abs(actions).max(axis=1) < 0.999  # near the bounds, the density amplifies rounding in single precision
+    assert free.sum() >= 5
+    np.testing.assert_allclose(densities[free], np.asarray(log_density)[free], atol=2e-3)
+    np.testing.assert_allclose(densities, log_density, atol=1.0)
     np.testing.assert_array_equal(policy.sample(observations, noise), actions)
     np.testing.assert_allclose(policy.mode(observations), actor.mode(jnp.asarray(observations)), atol=1e-5)
     one = policy.sample(observations[0], noise[0])

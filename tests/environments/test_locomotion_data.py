@@ -13,6 +13,7 @@ from odaf.environments.locomotion_acceptance import PUBLISHED, acceptance_of, fi
 from odaf.environments.locomotion_data import NAMES, generate, shares
 from odaf.environments.shipped_policies import Phase, ShippedPolicies, pack_policies, shipped, unpack_policies
 from odaf.errors import ConfigError
+from odaf.training.files import write_arrays
 
 
 def policy_of(task_name: str, seed: int = 0) -> GaussianPolicy:
@@ -178,7 +179,7 @@ def test_shares_keep_proportions_and_the_total():
 
 def test_policies_survive_packing(tmp_path):
     one, two = policy_of("hopper", 1), policy_of("hopper", 2)
-    np.savez(tmp_path / "policies.npz", **pack_policies([one, two]))
+    write_arrays(tmp_path / "policies.npz", pack_policies([one, two]))
     with np.load(tmp_path / "policies.npz", allow_pickle=False) as content:
         layers = {name: content[name] for name in content.files}
     facts = {

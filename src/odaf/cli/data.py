@@ -1,6 +1,7 @@
 """`odaf data generate` and `odaf data info`: make data sets, and look into them."""
 
 import json
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,31 +9,61 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
+from odaf.cli.interrupts import repeatable
 from odaf.cli.options import parse
 from odaf.cli.results import number, table
 from odaf.errors import ConfigError
 
 if TYPE_CHECKING:
+    from odaf.data import Dataset
     from odaf.environments.stitch_data import StitchConfig
 
 
 @dataclass(frozen=True)
 class GenerateOptions:
-    """Record a data set from scripted controllers.
+    """Record a data set from scripted controllers, or from the locomotion policies that come with odaf.
 
     pointmaze-stitch: a point mass in a maze. No recorded episode takes the good path, yet its pieces are all there.
+    The others: a running body, played by policies of the level that the name says (see docs/generated-data.md).
     """
 
-    name: tyro.conf.Positional[Literal["pointmaze-stitch"]]
+    name: tyro.conf.Positional[
+        Literal[
+            "pointmaze-stitch",
+            "halfcheetah-random",
+            "halfcheetah-medium",
+            "halfcheetah-medium-replay",
+            "halfcheetah-medium-expert",
+            "halfcheetah-expert",
+            "hopper-random",
+            "hopper-medium",
+            "hopper-medium-replay",
+            "hopper-medium-expert",
+            "hopper-expert",
+            "walker2d-random",
+            "walker2d-medium",
+            "walker2d-medium-replay",
+            "walker2d-medium-expert",
+            "walker2d-expert",
+        ]
+    ]
     """What to record."""
     out: Annotated[Path, tyro.conf.arg(metavar="FILE")]
     """File to write."""
     seed: int = 0
     """The same seed records the same data."""
-    maze: Annotated[str, tyro.conf.arg(metavar="NAME|FILE")] = "stitch"
-    """A known maze, or a JSON file with a map, its start and goal, and the routes to record (see docs/data.md)."""
+    maze: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE")] = None
+    """pointmaze only: a known maze, or a JSON file with a map, its start and goal, and the routes to record (see
+    docs/data.md); without it, stitch."""
     repeats: Annotated[int | None, tyro.conf.arg(metavar="INT")] = None
-    """Episodes of each route; without it, the number that belongs to the maze."""
+    """pointmaze only: episodes of each route; without it, the number that belongs to the maze."""
+    transitions: Annotated[int | None, tyro.conf.arg(metavar="INT")] = None
+    """Locomotion only: rows to record; without it, 100,000."""
+    version: Annotated[Literal["v4", "v5"] | None, tyro.conf.arg(metavar="v4|v5")] = None
+    """Locomotion only: environment version; without it, v4, near which scores were published."""
+    exact: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
+    """medium-replay only: train a policy from scratch in this directory, which takes hours, and keep its true replay
+    buffer; a run that is there is gone on with."""
 
 
 @dataclass(frozen=True)
@@ -48,19 +79,23 @@ class InfoOptions:
 def generate(arguments: list[str]) -> None:
     """Entry point of `odaf data generate`."""
     options = parse(GenerateOptions, arguments, "data generate")
-
-    from odaf.environments import stitch_data
-
-    config = _config(options.maze)
-    if options.repeats is not None:
-        config = config.with_repeats(options.repeats)
-    dataset = stitch_data.generate(config, options.seed)
+    began = time.monotonic()
+    dataset = _maze_data(options) if options.name == "pointmaze-stitch" else _locomotion_data(options)
+    seconds = time.monotonic() - began
     dataset.save(options.out)
     summary = dataset.summary()
     print(
         f"wrote {options.out}: {summary['episodes']:,} episodes, {summary['transitions']:,} transitions, "
         f"mean return {number(summary['mean_return'], 2)}, best {number(summary['best_return'], 2)}"
     )
+    statistics = summary["provenance"]["statistics"]
+    if "normalised_mean" in statistics:
+        print(
+            f"{statistics['environment']}: normalised score {number(statistics['normalised_mean'])} over "
+            f"{statistics['whole_episodes']:,} whole episodes; {summary['transitions'] / seconds:,.0f} transitions/s"
+        )
+    for finding in summary["provenance"]["findings"]:
+        print(f"{finding['finding']}: {finding['message']}")
 
 
 def info(arguments: list[str]) -> None:
@@ -99,6 +134,42 @@ def describe(summary: Mapping[str, Any]) -> str:
         lines += ["", "changed on the way in:"]
         lines += [f"  {finding['finding']} ({finding['count']:,}): {finding['message']}" for finding in findings]
     return "\n".join(lines)
+
+
+def _maze_data(options: GenerateOptions) -> "Dataset":
+    for field in ("transitions", "version", "exact"):
+        if getattr(options, field) is not None:
+            raise ConfigError(f"--{field} is for locomotion; a maze takes --maze and --repeats")
+
+    from odaf.environments import stitch_data
+
+    config = _config(options.maze or "stitch")
+    if options.repeats is not None:
+        config = config.with_repeats(options.repeats)
+    return stitch_data.generate(config, options.seed)
+
+
+def _locomotion_data(options: GenerateOptions) -> "Dataset":
+    for field in ("maze", "repeats"):
+        if getattr(options, field) is not None:
+            raise ConfigError(f"--{field} is for mazes; {options.name} takes --transitions and --version")
+
+    from odaf.training.progress import default_progress
+
+    version, progress = options.version or "v4", default_progress(True)
+    if options.exact is not None:
+        if options.transitions is not None:
+            raise ConfigError("--transitions: the buffer of a training run is as long as its training; leave it out")
+
+        from odaf.experiments.behaviour.exact_replay import exact_replay
+
+        with repeatable():
+            return exact_replay(options.name, options.exact, options.seed, version, progress)
+
+    from odaf.environments.locomotion_data import generate
+
+    transitions = 100_000 if options.transitions is None else options.transitions
+    return generate(options.name, transitions, options.seed, version, progress)
 
 
 def _config(maze: str) -> "StitchConfig":

@@ -42,7 +42,11 @@ class Command:
 
 COMMANDS = (
     Command(
-        "data generate", "NAME --out FILE", "record a data set from scripted controllers", "odaf.cli.data", "generate"
+        "data generate",
+        "NAME --out FILE",
+        "record a data set from controllers that come with odaf",
+        "odaf.cli.data",
+        "generate",
     ),
     Command("data info", "FILE", "say what a data set holds", "odaf.cli.data", "info"),
     Command("data import", "FILE --out FILE", "check a log of other people's and keep it", "odaf.cli.data_import"),
@@ -55,6 +59,8 @@ COMMANDS = (
     Command("resume", "DIR", "go on with a run exactly where it stopped", "odaf.cli.resume"),
     Command("evaluate", "DIR", "play episodes with the policies of a run", "odaf.cli.evaluate"),
     Command("report", "DIR... --out FILE", "draw one page that compares runs", "odaf.cli.report"),
+    Command("behaviour train", "TASK --out DIR", "learn a policy to record data with", "odaf.cli.behaviour", "train"),
+    Command("behaviour export", "DIR", "let `data generate` use such policies", "odaf.cli.behaviour", "export"),
     Command("demo", "", "stitch a maze from poor demonstrations, in minutes", "odaf.cli.demo"),
     Command("reproduce", "STUDY", "measure a whole study, one resumable command", "odaf.cli.reproduce"),
 )

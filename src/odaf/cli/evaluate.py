@@ -7,7 +7,7 @@ from typing import Annotated
 import tyro
 
 from odaf.cli.options import parse
-from odaf.cli.results import score_table
+from odaf.cli.results import number, score_table
 
 
 @dataclass(frozen=True)
@@ -41,5 +41,10 @@ def run(arguments: list[str]) -> None:
     print(score_table(scores))
     if len(scores.by_seed) > 1:
         print(f"\n{scores}")
+    if (normalised := scores.normalised) is not None:
+        print(
+            f"\n{normalised['environment']}: normalised score {number(normalised['normalised_score'])} "
+            f"(0 random, 100 expert), raw return {number(normalised['mean_return'])}"
+        )
     if options.json is not None:
         write_json(options.json, scores.to_dict())

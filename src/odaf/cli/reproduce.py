@@ -17,9 +17,10 @@ class ReproduceOptions:
     Runs that are there already are not repeated, so the command can be stopped and given again.
 
     pointmaze: stitching in a maze; our default, its base without the outcome term, the paper's form, cloning.
+    generators: every locomotion set we can record, beside the published set of its name.
     """
 
-    study: tyro.conf.Positional[Literal["pointmaze"]]
+    study: tyro.conf.Positional[Literal["pointmaze", "generators"]]
     """What to measure."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     """Directory for the results; without it, results/STUDY."""
@@ -31,7 +32,13 @@ def run(arguments: list[str]) -> None:
     """Entry point of the command."""
     options = parse(ReproduceOptions, arguments, "reproduce")
 
-    from odaf.experiments import pointmaze_study
-
+    out = options.out or Path("results") / options.study
     with repeatable():
-        pointmaze_study.run(options.out or Path("results") / options.study, workers=options.workers)
+        if options.study == "pointmaze":
+            from odaf.experiments import pointmaze_study
+
+            pointmaze_study.run(out, workers=options.workers)
+        else:
+            from odaf.experiments import generators_study
+
+            generators_study.run(out, workers=options.workers)

@@ -10,7 +10,7 @@ from odaf.evaluation.reference_returns import REFERENCES
 
 # Mean normalised return of the published sets' whole episodes, and the share of their rows that end one by a fall
 # (episodes over rows; 0 where bodies do not fall).
-PUBLISHED: Mapping[str, tuple[float, float]] = {
+PUBLISHED: dict[str, tuple[float, float]] = {
     "halfcheetah-random": (-0.07, 0.0),
     "halfcheetah-medium": (40.68, 0.0),
     "halfcheetah-medium-replay": (27.17, 0.0),

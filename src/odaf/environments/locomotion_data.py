@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from odaf.data.dataset import Dataset
+from odaf.data.dataset import COLUMNS, Dataset
 from odaf.environments.gaussian_policy import GaussianPolicy
 from odaf.environments.locomotion import TASKS, Simulator, Task, task_of
 from odaf.environments.locomotion_acceptance import acceptance_of, findings_of, statistics_of
@@ -78,31 +78,48 @@ def generate(
             done += phase.steps
         pieces[part] = _joined(recordings)
     progress.close()
-    columns = _joined(list(pieces.values()))
+    versions = {package: version_of(package) for package in ("gymnasium", "mujoco", "numpy")}
+    facts = {
+        "generator": "odaf.environments.locomotion_data",
+        "seed": seed,
+        "policies": {} if policies is None else {key: policies.facts.get(key) for key in ("training", kind)},
+        "versions": versions,
+    }
+    return judged(name, pieces, version, facts)
+
+
+def judged(
+    name: str, pieces: Mapping[str, Mapping[str, np.ndarray]], version: str, facts: Mapping[str, Any]
+) -> Dataset:
+    """Recorded columns as a dataset that carries its figures and what they say about its name.
+
+    Args:
+        name: one of `NAMES`.
+        pieces: columns of each part that is judged on its own, in order; those that `Dataset` does not name are infos.
+        version: of the environment.
+        facts: further provenance.
+    """
+    task, kind = split_name(name, version)
     figures = {part: statistics_of(piece, task, version) for part, piece in pieces.items()}
     acceptance = acceptance_of(task, kind, figures)
+    columns: dict[str, Any] = _joined(list(pieces.values()))
     statistics = statistics_of(columns, task, version)
     if len(figures) > 1:
         statistics["parts"] = figures
     return Dataset.from_arrays(
-        **{key: columns[key] for key in ("observations", "actions", "rewards", "next_observations")},
-        terminated=columns["terminated"],
-        truncated=columns["truncated"],
+        **{key: columns.pop(key) for key in COLUMNS},
         action_bounds=(-1.0, 1.0),
-        infos={key: columns[key] for key in ("qpos", "qvel", "action_log_probs")},
+        infos=columns,
         provenance={
-            "generator": "odaf.environments.locomotion_data",
             "name": name,
             "origin": "locally generated data",
-            "seed": seed,
             "environment": {"name": "gymnasium", "id": task.environment_id(version), "kwargs": {}},
-            "policies": {} if policies is None else {key: policies.facts.get(key) for key in ("training", kind)},
-            "versions": {package: version_of(package) for package in ("gymnasium", "mujoco", "numpy")},
+            **facts,
             "statistics": statistics,
             "acceptance": acceptance,
             "findings": findings_of(acceptance),
         },
-        source=f"{name}, seed {seed}",
+        source=name,
     )
 
 

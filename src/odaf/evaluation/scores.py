@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from odaf.errors import CheckpointError
+from odaf.evaluation.reference_returns import normalised_score
 from odaf.evaluation.statistics import Estimate, t_interval
 
 
@@ -31,9 +32,15 @@ class SeedScore:
 
 @dataclass(frozen=True)
 class Scores:
-    """Last-checkpoint scores of all seeds of a run."""
+    """Last-checkpoint scores of all seeds of a run.
+
+    Attributes:
+        by_seed: one entry a seed.
+        environment: Gymnasium's name of where they were played, if it has one.
+    """
 
     by_seed: tuple[SeedScore, ...]
+    environment: str | None = None
 
     def estimate(self, confidence: float = 0.95) -> Estimate:
         """Mean over seeds of their mean returns, spread over seeds, and Student's interval."""
@@ -49,6 +56,13 @@ class Scores:
         """Standard deviation over seeds (divisor n - 1) of their mean returns; NaN for one seed."""
         return self.estimate().std
 
+    @property
+    def normalised(self) -> dict[str, Any] | None:
+        """Normalised score with its environment version and raw return; None without reference returns."""
+        if self.environment is None:
+            return None
+        return normalised_score(self.environment, [score.mean_return for score in self.by_seed])
+
     def rate(self, name: str) -> float | None:
         """Mean over seeds of a rate such as `success_rate`; None if the environment does not report it."""
         rates = [score.rates.get(name) for score in self.by_seed]
@@ -59,7 +73,9 @@ class Scores:
         """JSON types: the estimate, rates, and every seed."""
         estimate = self.estimate()
         names = sorted({name for score in self.by_seed for name in score.rates})
+        normalised = self.normalised
         return {
+            **({} if normalised is None else {"normalised": normalised}),
             "mean_return": estimate.mean,
             "std_return": estimate.std,
             "interval": [estimate.low, estimate.high],
@@ -74,7 +90,7 @@ class Scores:
         return f"return {self.estimate()} over {len(self.by_seed)} seeds"
 
 
-def scores_from(summaries: Mapping[int, Mapping[str, Any]], where: str) -> Scores:
+def scores_from(summaries: Mapping[int, Mapping[str, Any]], where: str, environment: str | None = None) -> Scores:
     """Scores from each seed's `summary.json`.
 
     Raises:
@@ -86,7 +102,7 @@ def scores_from(summaries: Mapping[int, Mapping[str, Any]], where: str) -> Score
             f"{where}: no evaluation of seeds {', '.join(map(str, missing))} yet; "
             "train with evaluation, go on with `odaf resume`, or measure checkpoints with `odaf evaluate`"
         )
-    return Scores(tuple(_score(seed, summary["evaluation"]) for seed, summary in summaries.items()))
+    return Scores(tuple(_score(seed, summary["evaluation"]) for seed, summary in summaries.items()), environment)
 
 
 def _score(seed: int, evaluation: Mapping[str, Any]) -> SeedScore:

@@ -47,4 +47,4 @@ def evaluate(
         checkpoint = run.checkpoint(policy_seed, step)
         found = rollout(run.policy(policy_seed, checkpoint.step), make_env, episodes, seed, rollouts.max_steps)
         summaries[policy_seed] = {"evaluation": {"step": checkpoint.step, **summarise(found).summary}}
-    return scores_from(summaries, str(run.path))
+    return scores_from(summaries, str(run.path), rollouts.environment.get("id"))

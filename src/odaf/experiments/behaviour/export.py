@@ -6,7 +6,6 @@ the public policies' noise is not known; the nearest of those is taken, and as t
 """
 
 import itertools
-import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version as version_of
@@ -21,7 +20,7 @@ from odaf.environments.locomotion_acceptance import PUBLISHED
 from odaf.environments.shipped_policies import pack_policies
 from odaf.errors import ConfigError
 from odaf.evaluation.reference_returns import REFERENCES, Reference
-from odaf.experiments.behaviour.online import OnlineRun, load_policy, returns_of
+from odaf.experiments.behaviour.online import OnlineRun, curve_in, load_policy, returns_of, run_in
 from odaf.training.files import write_arrays, write_json
 from odaf.training.progress import ProgressReport, Silent
 
@@ -62,7 +61,7 @@ def export(directory: Path, policies: Path, ledger: Path, progress: ProgressRepo
     Raises:
         ConfigError: there is no run, or it has no snapshots yet.
     """
-    run, curve = _run_in(directory), _curve_in(directory)
+    run, curve = run_in(directory), curve_in(directory)
     task = task_of(run.task, run.version)
     reference = REFERENCES[task.family]
     snapshots = {int(path.stem): path for path in sorted((directory / "snapshots").glob("*.npz"))}
@@ -146,19 +145,6 @@ def _halved(policy: GaussianPolicy) -> GaussianPolicy:
         [array.astype(np.float16).astype(np.float32) for array in arrays] for arrays in (policy.weights, policy.biases)
     )
     return GaussianPolicy(weights, biases)
-
-
-def _run_in(directory: Path) -> OnlineRun:
-    path = directory / "config.json"
-    if not path.exists():
-        raise ConfigError(f"{directory}: holds no training run; make one with `odaf behaviour train`")
-    return OnlineRun(**json.loads(path.read_text(encoding="utf-8"))["run"])
-
-
-def _curve_in(directory: Path) -> list[dict[str, Any]]:
-    path = directory / "curve.jsonl"
-    lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
-    return [json.loads(line) for line in lines]
 
 
 def _ledger(

@@ -135,6 +135,25 @@ def train(
     progress.close()
 
 
+def run_in(directory: Path) -> OnlineRun:
+    """The settings of the run in a directory.
+
+    Raises:
+        ConfigError: there is none.
+    """
+    path = directory / "config.json"
+    if not path.exists():
+        raise ConfigError(f"{directory}: holds no training run; make one with `odaf behaviour train`")
+    return OnlineRun(**json.loads(path.read_text(encoding="utf-8"))["run"])
+
+
+def curve_in(directory: Path) -> list[dict[str, Any]]:
+    """The lines of a run's learning curve so far."""
+    path = directory / "curve.jsonl"
+    lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
+    return [json.loads(line) for line in lines]
+
+
 def policy_of(state: TQCState) -> GaussianPolicy:
     """The actor on the host."""
     network = state.actor.network
