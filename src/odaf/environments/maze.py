@@ -152,4 +152,14 @@ CROSSROADS = Maze(
     avoid=((5, 2), (5, 1), (4, 1), (3, 1), (3, 2)),
 )
 
-MAZES: Mapping[str, Maze] = {maze.name: maze for maze in (STITCH, CROSSROADS)}
+# A shaft: the good path falls straight from the start past the junction (2, 1) and turns at the bottom; the detour
+# leaves the start to the right and comes back into the junction.
+SHAFT = Maze(
+    name="shaft",
+    rows=("11111", "10011", "10011", "10111", "10011", "11111"),
+    start=(1, 1),
+    goal=(4, 2),
+    avoid=((1, 2), (2, 2)),
+)
+
+MAZES: Mapping[str, Maze] = {maze.name: maze for maze in (STITCH, SHAFT, CROSSROADS)}

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from odaf.environments.maze import CROSSROADS, STITCH, Cell, Maze, as_cell
+from odaf.environments.maze import CROSSROADS, SHAFT, STITCH, Cell, Maze, as_cell
 from odaf.errors import ConfigError
 
 
@@ -160,6 +160,26 @@ _PAPER = StitchConfig(
     ),
 )
 
+# The good path is longer and ends round a corner. Limits: the figures of seeds 0 to 2 with some room.
+_SHAFT = StitchConfig(
+    maze=SHAFT,
+    routes=(
+        Route("junction-1", goals=((2, 1),), repeats=250),
+        Route("junction-2", goals=((2, 1),), repeats=250),
+        Route("detour-hold", goals=((1, 2), (2, 2), (4, 2)), repeats=250),
+        Route("detour-random", goals=((1, 2), (2, 2), (4, 2)), repeats=250, after="random"),
+    ),
+    steps=240,
+    accept=(
+        ("mean", 44.6, 46.2),
+        ("best", 80.0, 92.0),
+        ("junction-1/best", 0.0, 36.0),
+        ("junction-2/best", 0.0, 36.0),
+        ("detour-hold/mean", 66.0, 71.5),
+        ("detour-random/mean", 62.0, 66.5),
+    ),
+)
+
 # One more turn to find, and a detour twice as long as the direct way: nobody logged south to east.
 _CROSSROADS = StitchConfig(
     maze=CROSSROADS,
@@ -180,4 +200,4 @@ _CROSSROADS = StitchConfig(
     ),
 )
 
-CONFIGS: Mapping[str, StitchConfig] = {config.maze.name: config for config in (_PAPER, _CROSSROADS)}
+CONFIGS: Mapping[str, StitchConfig] = {config.maze.name: config for config in (_PAPER, _SHAFT, _CROSSROADS)}

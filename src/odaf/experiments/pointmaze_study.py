@@ -49,8 +49,10 @@ def plan() -> list[list[StudyRun]]:
         [
             *runs("odaf", "stitch", 4, 20_000),
             *runs("behaviour-cloning", "stitch", 4, 20_000),
+            *runs("odaf", "shaft", 2, 20_000),
             *runs("odaf", "crossroads", 2, 20_000),
             *runs("odaf-without-outcome", "stitch", 4, 20_000),
+            *runs("behaviour-cloning", "shaft", 2, 20_000),
             *runs("behaviour-cloning", "crossroads", 2, 20_000),
         ],
         [
