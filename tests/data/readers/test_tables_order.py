@@ -73,6 +73,12 @@ def test_gaps_without_ids_and_beside_other_ends():
         read(log_of(None, [0, 1, 2, 5, 6], end=[False] * 5), episode=None, terminated="end")
 
 
+def test_a_task_that_ended_before_a_gap_was_not_cut():
+    log = read(log_of([0] * 4, [0, 1, 9, 10], end=[False, True, False, False]), terminated="end", time_step=1.0)
+    assert not column(log, "truncated").any()
+    np.testing.assert_array_equal(log.to_dataset().terminated, [False, True, False])
+
+
 def test_a_constant_makes_one_episode():
     log = read(log_of(None, [0, 1, 2, 3]), episode=0)
     assert column(log, "episode").tolist() == [0, 0, 0, 0] and log.to_dataset().num_episodes == 1
