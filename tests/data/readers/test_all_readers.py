@@ -333,10 +333,10 @@ def attempt(path, options, layout):
 def fuzz(tmp_path, watch, name, count):
     write, options = LAYOUTS[name]
     (tmp_path / "sound").mkdir()
-    sound = write(tmp_path / "sound", episodes_of([3, 5, 2, 4]))
+    sound = write(tmp_path / "sound", episodes_of([3, 2]))
     assert attempt(sound, options, None)
     read, slowest = 0, 0.0
-    faulthandler.dump_traceback_later(120 + count, exit=True)  # a hang in a library cannot be interrupted otherwise
+    faulthandler.dump_traceback_later(600 + 2 * count, exit=True)  # a hang in a library cannot be interrupted otherwise
     try:
         for seed in range(count):
             rng = np.random.default_rng([seed, *name.encode()])
@@ -346,7 +346,7 @@ def fuzz(tmp_path, watch, name, count):
             files = sorted(entry for entry in path.rglob("*") if entry.is_file()) if path.is_dir() else [path]
             mutation, target = MUTATIONS[rng.integers(len(MUTATIONS))], files[rng.integers(len(files))]
             mutation(target, rng)
-            begin = time.perf_counter()
+            begin = time.process_time()
             watch.on = True
             try:
                 read += attempt(path, options, name.split("-")[0] if seed % 2 else None)
@@ -356,11 +356,11 @@ def fuzz(tmp_path, watch, name, count):
                 ) from error
             finally:
                 watch.on = False
-            slowest = max(slowest, time.perf_counter() - begin)
+            slowest = max(slowest, time.process_time() - begin)
     finally:
         faulthandler.cancel_dump_traceback_later()
     assert not watch.seen
-    assert slowest < 10, f"{name}: one file took {slowest:.1f} s"
+    assert slowest < 5, f"{name}: one file took {slowest:.1f} s of computing time"
     assert 0 < read < count / 2  # most damage is refused; some hits what nobody reads, or values that may be anything
     return read, slowest
 

@@ -58,8 +58,9 @@ def read(
                 f"{source}: field 'timeouts' has {len(timeouts):,} rows, 'terminals' has {rows:,}; "
                 "every field needs one entry per step, so find where rows were lost or added"
             )
-        infos, others = _infos(path, file, source, rows)
-        provenance = {**_policy_facts(file, source), "fields_not_read": others}
+        stored = hdf5.arrays_below(file, source)
+        infos, others = _infos(path, file, source, stored, rows)
+        provenance = {**_policy_facts(file, source, stored), "fields_not_read": others}
     timeouts = _checked_timeouts(source, terminals, timeouts, max_episode_steps)
     provenance |= {"file": os.path.basename(source), "rows_in_file": rows, "d4rl_compat": d4rl_compat}
     if max_episode_steps is not None:
@@ -100,7 +101,7 @@ def behaviour_policy(path: str | os.PathLike[str]) -> dict[str, np.ndarray]:
         DatasetError: the file holds no policy.
     """
     with storage.opened(path) as (file, source), storage.reading(source):
-        names = _policy_arrays(file, source)
+        names = _policy_arrays(file, source, hdf5.arrays_below(file, source))
         if not names:
             raise DatasetError(
                 f"{source}: holds no policy (no arrays under '{_POLICY}'); only D4RL's medium and expert files do"
@@ -204,11 +205,13 @@ def _time_limits(terminals: np.ndarray, limit: int) -> np.ndarray:
     return timeouts & ~terminals
 
 
-def _infos(path: Path, file: h5py.File, source: str, rows: int) -> tuple[dict[str, Column], list[str]]:
+def _infos(
+    path: Path, file: h5py.File, source: str, stored: list[str], rows: int
+) -> tuple[dict[str, Column], list[str]]:
     """(arrays of numbers under `infos` with one entry per step, paths of all arrays that are left alone)."""
     infos: dict[str, Column] = {}
     others = []
-    for name in hdf5.arrays_below(file, source):
+    for name in stored:
         if name in (*_COLUMNS, "terminals", "timeouts"):
             continue
         if name.startswith("infos/"):
@@ -220,21 +223,23 @@ def _infos(path: Path, file: h5py.File, source: str, rows: int) -> tuple[dict[st
     return infos, others
 
 
-def _policy_arrays(file: h5py.File, source: str) -> list[str]:
+def _policy_arrays(file: h5py.File, source: str, stored: list[str]) -> list[str]:
     return [
         name
-        for name in hdf5.arrays_below(file, source, _POLICY)
-        if (item := hdf5.dataset(file, source, name)).dtype.kind in "biuf" and item.shape
+        for name in stored
+        if name.startswith(f"{_POLICY}/")
+        and (item := hdf5.dataset(file, source, name)).dtype.kind in "biuf"
+        and item.shape
     ]
 
 
-def _policy_facts(file: h5py.File, source: str) -> dict[str, Any]:
+def _policy_facts(file: h5py.File, source: str, stored: list[str]) -> dict[str, Any]:
     """What `metadata` says of the run that recorded the file, in JSON types."""
     facts: dict[str, Any] = {}
     for name in ("algorithm", "iteration"):
-        if f"metadata/{name}" in hdf5.arrays_below(file, source, "metadata"):
+        if f"metadata/{name}" in stored:
             facts[name] = hdf5.scalar(file, source, f"metadata/{name}")
-    arrays = _policy_arrays(file, source)
+    arrays = _policy_arrays(file, source, stored)
     if arrays:
         policy: dict[str, Any] = {
             "arrays": {
@@ -242,7 +247,7 @@ def _policy_facts(file: h5py.File, source: str) -> dict[str, Any]:
             }
         }
         for name in ("nonlinearity", "output_distribution"):
-            if f"{_POLICY}/{name}" in hdf5.arrays_below(file, source, _POLICY):
+            if f"{_POLICY}/{name}" in stored:
                 policy[name] = hdf5.scalar(file, source, f"{_POLICY}/{name}")
         facts["behaviour_policy"] = policy
     return facts
