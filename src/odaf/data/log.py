@@ -100,4 +100,9 @@ class Log:
 
 def _whole(column: Column) -> np.ndarray:
     """The column in memory; an array as it is, because a slice of it would look as if somebody else could change it."""
-    return column if type(column) is np.ndarray else np.asarray(column[:])
+    if type(column) is np.ndarray:
+        return column
+    values = np.asarray(column[:])
+    if values.flags.owndata:
+        values.setflags(write=False)  # read for us alone: the dataset may keep it uncopied
+    return values

@@ -1,7 +1,6 @@
 """A dataset on the device, and batches drawn from it inside compiled code."""
 
 import jax
-import jax.numpy as jnp
 import jax.random as jr
 import numpy as np
 from jaxtyping import Array, PRNGKeyArray
@@ -27,12 +26,17 @@ def device_columns(
     """
     rewards, last, kept = _n_step(dataset, return_steps, discount)
     return Transitions(
-        observations=jnp.asarray(normaliser.normalise(dataset.observations[kept])),
-        actions=jnp.asarray(scale_actions(dataset.actions[kept], dataset.action_low, dataset.action_high)),
-        rewards=jnp.asarray(rewards),
-        next_observations=jnp.asarray(normaliser.normalise(dataset.next_observations[last])),
-        terminated=jnp.asarray(dataset.terminated[last], jnp.float32),
+        observations=_on_device(normaliser.normalise(dataset.observations[kept])),
+        actions=_on_device(scale_actions(dataset.actions[kept], dataset.action_low, dataset.action_high)),
+        rewards=_on_device(rewards),
+        next_observations=_on_device(normaliser.normalise(dataset.next_observations[last])),
+        terminated=_on_device(dataset.terminated[last].astype(np.float32)),
     )
+
+
+def _on_device(column: np.ndarray) -> Array:
+    """The column on the device, and not before it has arrived: else the host keeps a copy of every column meanwhile."""
+    return jax.block_until_ready(jax.device_put(column))  # `jnp.asarray` would copy it once more on the way
 
 
 def _n_step(dataset: Dataset, steps: int, discount: float) -> tuple[np.ndarray, np.ndarray | slice, np.ndarray | slice]:
