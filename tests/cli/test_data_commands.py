@@ -3,6 +3,7 @@
 import json
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -118,8 +119,8 @@ def test_check_against_an_environment(valve: Path, capsys: pytest.CaptureFixture
 @pytest.mark.parametrize("layout", ["d4rl", "minari"])
 def test_convert_and_back(layout: str, valve: Path, tmp_path: Path):
     assert main(["data", "convert", str(valve), "--to", layout, "--out", str(tmp_path / "other")]) == 0
-    bounds = {"action_bounds": (0.0, 100.0)} if layout == "d4rl" else {}
-    read, original = Dataset.load(tmp_path / "other", **bounds)  # type: ignore[arg-type], Dataset.load(valve)
+    options: dict[str, Any] = {"action_bounds": (0.0, 100.0)} if layout == "d4rl" else {}
+    read, original = Dataset.load(tmp_path / "other", **options), Dataset.load(valve)
     np.testing.assert_array_equal(read.observations, original.observations)
     np.testing.assert_array_equal(read.truncated, original.truncated)
     np.testing.assert_array_equal(read.episode_starts, original.episode_starts)
