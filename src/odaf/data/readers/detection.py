@@ -1,4 +1,4 @@
-"""Which layout a file or folder is in, told from what it holds; its name decides nothing."""
+"""Which layout a file or folder is in, told from what it holds; its name never decides."""
 
 import os
 import re
@@ -64,6 +64,11 @@ def detect(path: str | os.PathLike[str]) -> str:
             f"{source}: a single Arrow file; give the folder if Minari wrote it, or convert it to Parquet"
         )
     if _is_table(head):
+        if place.suffix in (".h5", ".hdf5", ".hdf"):
+            raise DatasetError(
+                f"{source}: named like an HDF5 file, but it holds a text table; if that is meant, say so with "
+                "format='csv', otherwise copy or generate it again"
+            )
         return "csv"
     raise DatasetError(
         f"{source}: no known layout: neither HDF5, .npz, Parquet nor a text table (its first bytes are {head[:16]!r}); "
