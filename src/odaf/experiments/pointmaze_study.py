@@ -32,23 +32,30 @@ class StudyRun:
     maze: str
     seed: int
     steps: int
+    changes: tuple[tuple[str, Any], ...] = ()  # settings other than the preset's
+
+    @property
+    def method(self) -> str:
+        """The preset and what is changed in it, as in `odaf-return_steps-5`."""
+        return "-".join([self.preset, *(f"{field}-{value}" for field, value in self.changes)])
 
     @property
     def name(self) -> str:
         """File name of its record, without the ending."""
-        return f"{self.maze}-{self.preset}-seed{self.seed}-{self.steps}"
+        return f"{self.maze}-{self.method}-seed{self.seed}-{self.steps}"
 
 
 def plan() -> list[list[StudyRun]]:
     """Every run of the study, in phases: a longer run goes on where the same one of an earlier phase stopped."""
 
-    def runs(preset: str, maze: str, seeds: int, steps: int) -> list[StudyRun]:
-        return [StudyRun(preset, maze, seed, steps) for seed in range(seeds)]
+    def runs(preset: str, maze: str, seeds: int, steps: int, **changes: Any) -> list[StudyRun]:
+        return [StudyRun(preset, maze, seed, steps, tuple(changes.items())) for seed in range(seeds)]
 
     return [
         [
             *runs("odaf", "stitch", 4, 20_000),
             *runs("behaviour-cloning", "stitch", 4, 20_000),
+            *runs("odaf", "shaft", 2, 20_000, return_steps=5),
             *runs("odaf", "shaft", 2, 20_000),
             *runs("odaf", "crossroads", 2, 20_000),
             *runs("odaf-without-outcome", "stitch", 4, 20_000),
@@ -107,8 +114,8 @@ def table(records: Sequence[dict[str, Any]]) -> str:
     ]
     groups: dict[tuple[str, str, int], list[dict[str, Any]]] = {}
     for record in records:
-        groups.setdefault((record["maze"], record["preset"], record["steps"]), []).append(record)
-    for (maze, preset, steps), group in sorted(groups.items()):
+        groups.setdefault((record["maze"], record["method"], record["steps"]), []).append(record)
+    for (maze, method, steps), group in sorted(groups.items()):
         returns = [record["final"]["mean_return"] for record in group]
         estimate = t_interval(returns)
         interval = f"[{estimate.low:.1f}, {estimate.high:.1f}]" if len(group) > 1 else "one seed"
@@ -121,7 +128,7 @@ def table(records: Sequence[dict[str, Any]]) -> str:
             )
         )
         lines.append(
-            f"| {maze} | {preset} | {steps:,} | {len(group)} | {estimate.mean:.1f} | {interval} | {min(returns):.1f} "
+            f"| {maze} | {method} | {steps:,} | {len(group)} | {estimate.mean:.1f} | {interval} | {min(returns):.1f} "
             f"| {stitched:.2f} | {success:.2f} | {speed:.1f} |"
         )
     lines.append("")
@@ -142,21 +149,21 @@ def _figure(records: Sequence[dict[str, Any]], out: Path) -> None:
     for record in records:
         if record["maze"] != "stitch":
             continue
-        key = record["preset"], record["seed"]
+        key = record["method"], record["seed"]
         if key not in longest or record["steps"] > longest[key]["steps"]:
             longest[key] = record
     if not longest:
         return
     curves = []
-    for index, preset in enumerate(sorted({preset for preset, _ in longest})):
+    for index, method in enumerate(sorted({method for method, _ in longest})):
         runs = [
             {evaluation["step"]: evaluation["mean_return"] for evaluation in record["evaluations"]}
             for (name, _), record in sorted(longest.items())
-            if name == preset
+            if name == method
         ]
         steps = sorted(set().union(*runs))
         values = np.array([[run.get(step, np.nan) for step in steps] for run in runs])
-        curves.append(Curve(preset, np.array(steps), values, None, index))
+        curves.append(Curve(method, np.array(steps), values, None, index))
     data = next(iter(longest.values()))["data"]
     references = [("best logged", data["best_return"]), ("mean logged", data["mean_return"])]
     learning_curves_figure(curves, out, references, title="Stitching maze", note=LOCAL)
@@ -169,12 +176,12 @@ def _measure(job: tuple[StudyRun, Path, Path]) -> dict[str, Any]:
     from odaf.experiments import presets
     from odaf.experiments.fit import fit, resume
 
-    directory = work / f"{study.maze}-{study.preset}-seed{study.seed}"
+    directory = work / f"{study.maze}-{study.method}-seed{study.seed}"
     if _steps_of(directory) < study.steps:
         run = resume(directory, study.steps)
     else:
         run = fit(
-            presets.load(study.preset),
+            presets.load(study.preset, dict(study.changes)),
             _data_file(work, study.maze),
             steps=study.steps,
             seeds=[study.seed],
@@ -226,6 +233,8 @@ def _record(study: StudyRun, run: Any) -> dict[str, Any]:
         "study": "pointmaze",
         "maze": study.maze,
         "preset": study.preset,
+        "changes": dict(study.changes),
+        "method": study.method,
         "seed": study.seed,
         "steps": study.steps,
         "command": "odaf reproduce pointmaze",
