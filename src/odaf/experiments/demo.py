@@ -15,7 +15,7 @@ from odaf.training.files import write_json
 METHODS = {"odaf": "odaf", "odaf-without-outcome": "odaf without its outcome term", "behaviour-cloning": "cloning"}
 DATA_SEED, TRAINING_SEED = 0, 0
 STEPS = 5_000
-# Five-step targets carry values back within these few updates; over a long training they are worse than one-step targets.
+# Five-step targets carry values back within so few updates. In this maze they are worse than one-step targets later on.
 CHANGES: dict[str, dict[str, Any]] = {name: {"return_steps": 5} for name in ("odaf", "odaf-without-outcome")}
 EPISODES = 50
 
