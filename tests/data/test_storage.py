@@ -295,6 +295,16 @@ def test_damage_anywhere_is_noticed_or_harmless(path):
     assert refused > len(positions) / 10
 
 
+def test_damage_on_which_the_hdf5_library_would_hang(path):
+    """An empty object where the file keeps its texts: the library would look at it for ever."""
+    content = path.read_bytes()
+    start = content.index(b"GCOL") + 16
+    path.write_bytes(content[:start] + bytes(16) + content[start + 16 :])
+    for read in (Dataset.load, storage.is_own_file):
+        with pytest.raises(DatasetError, match=f"the file is damaged at byte {start:,}, where its texts are"):
+            read(path)
+
+
 def test_options_of_the_other_layout_are_refused(path):
     choices: list[dict[str, Any]] = [{"max_episode_steps": 10}, {"action_bounds": (-1, 1)}, {"d4rl_compat": True}]
     for options in choices:

@@ -127,10 +127,13 @@ def reading(source: str) -> Iterator[None]:
 
 def is_own(file: h5py.File, source: str) -> bool:
     """Whether the file claims to be an odaf dataset; another claim than ours or none at all raises or is False."""
+    from odaf.data.readers import text_heap
+
     with reading(source):
+        if "format" not in file.attrs:
+            return False
+        text_heap.refuse_endless(file.filename, source)
         claim = file.attrs.get("format")
-    if claim is None:
-        return False
     if not isinstance(claim, str) or claim != FORMAT:
         raise DatasetError(
             f"{source}: the file says its format is {claim!r}, expected {FORMAT!r}; "

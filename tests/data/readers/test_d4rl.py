@@ -6,8 +6,8 @@ import h5py
 import numpy as np
 import pytest
 
-from odaf.data import Dataset, readers
-from odaf.data.readers import d4rl
+from odaf.data import Dataset, readers, storage
+from odaf.data.readers import d4rl, hdf5
 from odaf.errors import DatasetError
 
 ROWS = 12
@@ -231,6 +231,32 @@ def test_links_out_of_the_file_are_not_followed(write, tmp_path):
         Dataset.load(path)
     with pytest.raises(DatasetError, match="holds no policy"):
         d4rl.behaviour_policy(path)
+
+
+TEXTS = {"short": "relu", "empty": "", "eight": "12345678", "letters": "Füllstand °C", "long": "x" * 5000}
+
+
+@pytest.mark.parametrize("block", [0, 512])
+def test_texts_of_variable_length_are_read_as_the_library_reads_them(tmp_path, block):
+    path = tmp_path / "texts.h5"
+    with h5py.File(path, "w", userblock_size=block) as file:
+        for name, text in TEXTS.items():
+            file[name] = text
+            file[f"fixed {name}"] = np.bytes_(text.encode() or b" ")
+    with storage.opened(path) as (file, source):
+        for name, text in TEXTS.items():
+            assert hdf5.scalar(file, source, name) == file[name][()].decode() == text
+            assert hdf5.scalar(file, source, f"fixed {name}") == (text or " ")
+
+
+def test_damaged_heap_of_texts_does_not_hang(write):
+    """An object of no size in front of the text, on which the HDF5 library would walk on the spot."""
+    path = write(**{"metadata/first": "first", "metadata/algorithm": "SAC"})
+    content = path.read_bytes()
+    start = content.index(b"GCOL") + 16
+    path.write_bytes(content[:start] + bytes(16) + content[start + 16 :])
+    with pytest.raises(DatasetError, match="field 'metadata/algorithm' has lost its text; the file is damaged"):
+        Dataset.load(path)
 
 
 def test_flag_bytes_other_than_zero_and_one_are_noticed(write):

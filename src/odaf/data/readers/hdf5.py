@@ -14,6 +14,7 @@ import numpy as np
 
 from odaf.data import storage
 from odaf.data.log import Column
+from odaf.data.readers import text_heap
 from odaf.data.readers.columns import Pieces, sound_flags
 from odaf.errors import DatasetError
 
@@ -69,7 +70,10 @@ def whole(file: h5py.File, source: str, name: str) -> np.ndarray:
 def scalar(file: h5py.File, source: str, name: str) -> str | int | float | bool:
     """A text or a single number at a path."""
     found = dataset(file, source, name)
-    value = np.asarray(found[()]).item() if found.size == 1 else None
+    value = None
+    if math.prod(found.shape) == 1:
+        variable = found.dtype.kind == "O"
+        value = text_heap.read(file, source, name, found) if variable else np.asarray(found[()]).item()
     if isinstance(value, bytes):
         value = value.decode(errors="replace")
     if not isinstance(value, (str, int, float, bool)):
