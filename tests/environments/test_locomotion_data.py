@@ -115,6 +115,27 @@ def test_short_episodes_are_not_over_counted(monkeypatch):
     assert lengths.sum() == 500 and lengths[:-1].tolist() == begun[: len(lengths) - 1]
 
 
+def test_an_episode_that_is_cut_did_not_fall(monkeypatch):
+    """Episodes of 50 and of 2 steps begin together, both fall; a record of 51 rows stops one row before the second
+    fall, which therefore is not in it."""
+    monkeypatch.setattr(recorder, "STEPS_A_SLOT", 25)
+    begun = []
+
+    class Alternating(Simulator):
+        def reset(self, seed):
+            self.length, self.count = (50, 2)[len(begun) % 2], 0
+            begun.append(self.length)
+            return super().reset(seed)
+
+        def step(self, action):
+            self.count += 1
+            return np.zeros(11), 1.0, self.count == self.length
+
+    columns = recorder.record([Alternating(TASKS["hopper"]) for _ in range(2)], None, 51, np.random.default_rng(0))
+    assert np.flatnonzero(columns["terminated"]).tolist() == [49]
+    assert np.flatnonzero(columns["truncated"]).tolist() == [50]
+
+
 def test_one_seed_gives_the_same_bits_and_another_does_not(tmp_path):
     policies = policies_of("hopper")
     first, again, other = (generate("hopper-medium-replay", 400, seed, policies=policies) for seed in (3, 3, 4))
