@@ -71,11 +71,11 @@ def render(runs: Sequence[RunRecord], title: str | None = None) -> str:
         no_critic=[name for name, run in named if charts.quantity(run, name, 0, "critic/mean") is None],
         uncertainty=charts.metric_chart(
             runs, names, "outcome/uncertainty", "Outcome uncertainty",
-            "Disagreement of the critics at the predicted outcomes; it falls as the policy keeps to known ground.",
+            "Disagreement of the critics at the predicted outcomes. It grows with the values: compare runs at one step.",
         ),
         temperature=charts.metric_chart(
             runs, names, "temperature/value", "Temperature",
-            "Weight of the entropy bonus; healthy runs let it fall.", logarithmic=True,
+            "Weight of the entropy bonus. It settles; above 10, values are too steep for the policy.", logarithmic=True,
         ),
         warnings=[(name, seed.seed, text) for name, run in named for seed in run.seeds for text in seed.warnings],
         dynamics=charts.dynamics_checks(runs, names),
