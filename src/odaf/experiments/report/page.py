@@ -71,7 +71,7 @@ def render(runs: Sequence[RunRecord], title: str | None = None) -> str:
         no_critic=[name for name, run in named if charts.quantity(run, name, 0, "critic/mean") is None],
         uncertainty=charts.metric_chart(
             runs, names, "outcome/uncertainty", "Outcome uncertainty",
-            "Disagreement of the critics at the predicted outcomes. It grows with the values: compare runs at one step.",
+            "Disagreement of the critics at the predicted outcomes. It grows with values; compare runs at one step.",
         ),
         temperature=charts.metric_chart(
             runs, names, "temperature/value", "Temperature",
