@@ -62,6 +62,10 @@ FILES = {
 def test_contents_decide_and_the_name_does_not(tmp_path, name, suffix):
     path = tmp_path / f"file{suffix}"
     FILES[name](path)
+    if suffix == ".h5" and name.startswith("csv"):  # the only contradiction that is taken for a mistake
+        with pytest.raises(DatasetError, match="named like an HDF5 file, but it holds a text table; .* format='csv'"):
+            readers.detect(path)
+        return
     assert readers.detect(path) == name.split(" ")[0]
 
 

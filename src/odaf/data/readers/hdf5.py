@@ -146,8 +146,8 @@ def shown(texts: Iterable[str], limit: int = 12) -> str:
     return str(ordered) if len(ordered) <= limit else f"{ordered[:limit]} and {len(ordered) - limit:,} more"
 
 
-def _text(name: str | bytes) -> str:
-    return name if isinstance(name, str) else name.decode(errors="replace")
+def _text(name: object) -> str:
+    return name.decode(errors="replace") if isinstance(name, bytes) else str(name)
 
 
 def _read(path: str, names: tuple[str, ...], wanted: Sequence[tuple[int, int, int]]) -> list[np.ndarray]:
