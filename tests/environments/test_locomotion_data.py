@@ -139,7 +139,8 @@ def test_an_episode_that_is_cut_did_not_fall(monkeypatch):
 def test_one_seed_gives_the_same_bits_and_another_does_not(tmp_path):
     policies = policies_of("hopper")
     first, again, other = (generate("hopper-medium-replay", 400, seed, policies=policies) for seed in (3, 3, 4))
-    assert first.fingerprint() == again.fingerprint() != other.fingerprint()
+    assert first.fingerprint() == again.fingerprint()
+    assert (first.actions != other.actions).any(), "the fingerprint covers the seed's number too, so look at the rows"
     first.save(tmp_path / "set.h5")
     loaded = Dataset.load(tmp_path / "set.h5")
     assert loaded.fingerprint() == first.fingerprint()
