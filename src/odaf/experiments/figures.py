@@ -106,7 +106,7 @@ def learning_curves_figure(
     for text in legend.get_texts():
         text.set_parse_math(False)
     if title:
-        figure.suptitle(title, fontsize=12, parse_math=False)
+        axes.set_title(title, fontsize=12, parse_math=False)  # below the legend; a figure's own title would lie on it
     if note:
         figure.supxlabel(note, fontsize=7.5, color=drawing.LIGHT.muted, parse_math=False)
     return _write(figure, out)
