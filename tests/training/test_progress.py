@@ -25,6 +25,18 @@ def test_lines_are_rare_but_the_last_is_never_missing(monkeypatch):
     assert len(lines) == 5
 
 
+def test_the_end_is_said_once_and_in_the_stages_own_unit():
+    stream = io.StringIO()
+    report = progress.Lines(stream)
+    report.start("hopper-random", 10, unit="rows")
+    for _ in range(3):
+        report.advance(10)
+    report.advance(10, "return 3.0")  # news at the end is told
+    lines = stream.getvalue().splitlines()
+    assert len(lines) == 2 and all("rows/s" in line for line in lines)
+    assert lines[1].endswith("return 3.0")
+
+
 def test_bar_shows_stage_rate_and_note_on_a_terminal():
     stream = io.StringIO()
     report = progress.Bar(Console(file=stream, force_terminal=True, width=140))

@@ -56,7 +56,7 @@ def generate(
         policies = shipped(task)
     parts = _parts(task, kind, transitions, policies)
     progress = progress or Silent()
-    progress.start(name, transitions)
+    progress.start(name, transitions, unit="rows")
     largest = max(phase.steps for phases in parts.values() for phase in phases)
     simulators = [Simulator(task, version) for _ in range(slots_for(largest))]
     streams = iter(np.random.SeedSequence(seed).spawn(sum(map(len, parts.values()))))

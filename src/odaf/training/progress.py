@@ -12,12 +12,12 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, T
 class ProgressReport(Protocol):
     """Hears how far a stage has come. Stages follow one another; `close` ends the last."""
 
-    def start(self, stage: str, total: int, done: int = 0) -> None:
-        """Begins a stage of `total` updates (0: unknown), `done` of which were made by an earlier process."""
+    def start(self, stage: str, total: int, done: int = 0, unit: str = "updates") -> None:
+        """Begins a stage of `total` units (0: unknown), `done` of which were made by an earlier process."""
         ...
 
     def advance(self, done: int, note: str = "") -> None:
-        """Says that `done` updates of the stage are made; `note` is shown beside the numbers until the next note."""
+        """Says that `done` units of the stage are made; `note` is shown beside the numbers until the next note."""
         ...
 
     def message(self, text: str) -> None:
@@ -30,7 +30,7 @@ class ProgressReport(Protocol):
 class Silent:
     """Shows nothing."""
 
-    def start(self, stage: str, total: int, done: int = 0) -> None: ...
+    def start(self, stage: str, total: int, done: int = 0, unit: str = "updates") -> None: ...
 
     def advance(self, done: int, note: str = "") -> None: ...
 
@@ -46,9 +46,9 @@ class Bar:
         self._console = console
         self._progress: Progress | None = None
 
-    def start(self, stage: str, total: int, done: int = 0) -> None:
+    def start(self, stage: str, total: int, done: int = 0, unit: str = "updates") -> None:
         self.close()
-        self._rate, self._total, self._note = _Rate(done), total, ""
+        self._rate, self._total, self._note = _Rate(done, unit), total, ""
         self._progress = Progress(
             TextColumn("[bold]{task.description}"),
             BarColumn(),
@@ -96,10 +96,11 @@ class Lines:
         self._interval = interval
         self._stage: str | None = None
 
-    def start(self, stage: str, total: int, done: int = 0) -> None:
+    def start(self, stage: str, total: int, done: int = 0, unit: str = "updates") -> None:
         self._stage, self._total, self._note = stage, total, ""
-        self._rate = _Rate(done)
+        self._rate = _Rate(done, unit)
         self._shown = time.monotonic()
+        self._last: tuple[int, str] | None = None
 
     def advance(self, done: int, note: str = "") -> None:
         if self._stage is None:
@@ -108,7 +109,9 @@ class Lines:
         now = time.monotonic()
         if done < self._total and now - self._shown < self._interval:
             return
-        self._shown = now
+        if self._last == (done, self._note):  # the end was said already
+            return
+        self._shown, self._last = now, (done, self._note)
         parts = [f"{self._stage}: {done:,}/{self._total:,}", self._rate.text(done), self._rate.left(done, self._total)]
         self._write("  ".join(part for part in [*parts, self._note] if part))
 
@@ -124,15 +127,15 @@ class Lines:
 
 
 class _Rate:
-    # Updates a second since this process began the stage, so that what an earlier process did does not count.
-    def __init__(self, done: int):
-        self._first, self._began = done, time.monotonic()
+    # Units a second since this process began the stage, so that what an earlier process did does not count.
+    def __init__(self, done: int, unit: str):
+        self._first, self._began, self._unit = done, time.monotonic(), unit
 
     def per_second(self, done: int) -> float:
         return (done - self._first) / max(time.monotonic() - self._began, 1e-9)
 
     def text(self, done: int) -> str:
-        return f"{self.per_second(done):,.0f} updates/s" if done > self._first else ""
+        return f"{self.per_second(done):,.0f} {self._unit}/s" if done > self._first else ""
 
     def left(self, done: int, total: int) -> str:
         if done <= self._first or done >= total:

@@ -70,7 +70,7 @@ def export(directory: Path, policies: Path, ledger: Path, progress: ProgressRepo
     loaded = {step: _halved(load_policy(path)) for step, path in snapshots.items()}
     progress = progress or Silent()
     simulators = [Simulator(task, run.version) for _ in range(CLOSE_LOOK)]
-    progress.start(f"{task.name} snapshots", len(loaded))
+    progress.start(f"{task.name} snapshots", len(loaded), unit="snapshots")
     looks: dict[int, float] = {}
     for step, policy in loaded.items():
         returns = returns_of(policy, simulators[:FIRST_LOOK], SEED, stochastic=True)
