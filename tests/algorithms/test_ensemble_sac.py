@@ -28,7 +28,7 @@ def test_the_target_is_the_lowest_member_with_or_without_entropy(entropy, norm, 
         learner = _learner(entropy_in_backup=entropy, critic_norm=norm, discount=0.9, return_steps=steps)
         state, batch = tiny.state_of(learner), tiny.batch()
         with tiny.recorded() as drawn:
-            y = learner.target(state, batch, jr.key(5))
+            y = learner.targets(state, batch, jr.key(5))
         np.testing.assert_allclose(y, soft_actor_critic.target(state, batch, drawn[0], 0.9**steps, entropy), rtol=1e-9)
 
 
@@ -37,7 +37,7 @@ def test_the_target_is_cut_to_what_the_rewards_allow():
         learner, bounds = _learner(discount=0.5), (-2.0, 1.0)
         state, batch = tiny.state_of(learner, bounds=bounds, size=2.0), tiny.batch(30)
         with tiny.recorded() as drawn:
-            y = np.asarray(learner.target(state, batch, jr.key(5)))
+            y = np.asarray(learner.targets(state, batch, jr.key(5)))
         free = soft_actor_critic.target(state, batch, drawn[0], 0.5, False)
         assert np.any(free < bounds[0]) and np.any(free > bounds[1]), "this state must test both sides"
         np.testing.assert_allclose(y, np.clip(free, *bounds), rtol=1e-9)
@@ -58,7 +58,7 @@ def test_true_ends_bootstrap_to_zero_and_time_outs_do_not():
     learner = _learner()
     with tiny.exactly():
         columns = tiny.in_double(columns)
-        y = np.asarray(learner.target(tiny.state_of(learner), columns, jr.key(0)))
+        y = np.asarray(learner.targets(tiny.state_of(learner), columns, jr.key(0)))
     assert y[1] == 0.25
     assert np.all(np.abs(y[[0, 2, 3]] - dataset.rewards[[0, 2, 3]]) > 0.05), "the last row is a time-out"
 
@@ -89,12 +89,12 @@ def test_the_terms_gradient_is_added_to_the_critics_own():
     term = OODPessimism(weight=0.7)
     with tiny.exactly():
         bare, with_term = _learner(), _learner(terms=(term,))
-        state, batch = tiny.state_of(bare), tiny.batch()
-        own, _ = bare.critic_gradient(state, batch, jr.key(5))
-        both, metrics = with_term.critic_gradient(dataclasses.replace(state, side=((),)), batch, jr.key(5))
+        state, batch = tiny.state_of(with_term, side=((),)), tiny.batch()
+        own, _ = bare.critic_gradient(dataclasses.replace(state, side=(), memory=()), batch, jr.key(5))
+        both, metrics = with_term.critic_gradient(state, batch, jr.key(5))
 
         def addition(critics):
-            return with_term.critic_additions(critics, dataclasses.replace(state, side=((),)), batch, jr.key(5))[0]
+            return with_term.critic_additions(critics, state, batch, jr.key(5))[0]
 
         value, slope = jax.value_and_grad(addition)(state.critics)
         tiny.assert_close(both, jax.tree.map(jnp.add, own, slope), rtol=1e-5, atol=1e-6)

@@ -98,8 +98,10 @@ def state_of(learner: EnsembleSAC, *, side=(), bounds=(-np.inf, np.inf), size: f
         critics=filled(shape.critics, 3, size),
         target_critics=filled(shape.target_critics, 4, size),
         log_temperature=floats(np.log(0.5)),
+        reward_scale=floats(1.0),
         value_bounds=floats(bounds),
         side=side,
+        memory=in_double(tuple(term.first_memory() for term in learner.active_terms)),
     )
 
 

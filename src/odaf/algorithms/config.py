@@ -116,7 +116,7 @@ def _checked(value: Any, hint: Any, source: str, where: str) -> Any:
     if origin in (Union, types.UnionType):
         if value is None and type(None) in arguments:
             return None
-        return _checked(value, next(a for a in arguments if a is not type(None)), source, where)
+        return _first_that_fits(value, [a for a in arguments if a is not type(None)], hint, source, where)
     if origin is Literal and value in arguments and not isinstance(value, bool):
         return value
     if origin is tuple and isinstance(value, list | tuple):
@@ -125,5 +125,22 @@ def _checked(value: Any, hint: Any, source: str, where: str) -> Any:
         return float(value)
     if isinstance(hint, type) and isinstance(value, hint) and (hint is bool or not isinstance(value, bool)):
         return value
-    expected = " | ".join(map(repr, arguments)) if origin is Literal else getattr(hint, "__name__", str(hint))
-    raise ConfigError(f"{source}: {where}={value!r} is not of the expected kind: {expected}")
+    raise ConfigError(f"{source}: {where}={value!r} is not of the expected kind: {_expected(hint)}")
+
+
+def _first_that_fits(value: Any, hints: list[Any], union: Any, source: str, where: str) -> Any:
+    for hint in hints:
+        try:
+            return _checked(value, hint, source, where)
+        except ConfigError:
+            continue
+    raise ConfigError(f"{source}: {where}={value!r} is not of the expected kind: {_expected(union)}")
+
+
+def _expected(hint: Any) -> str:
+    origin, arguments = get_origin(hint), get_args(hint)
+    if origin is Literal:
+        return " | ".join(map(repr, arguments))
+    if origin in (Union, types.UnionType):
+        return " | ".join(_expected(argument) for argument in arguments if argument is not type(None))
+    return getattr(hint, "__name__", str(hint))

@@ -9,8 +9,10 @@ Without terms this is SAC-N (An et al. 2021): the target is the minimum over K c
 and every term adds its own loss to L_pi, to L_Q or to both. All losses of one update are taken at the parameters from
 before it (the order of the EDAC, RORL and ODAF codes); then the slow copies move.
 
-With `return_steps` n above 1, r is the discounted sum of the next n logged rewards, s' the state n steps on, and the
-discount of the target its n-th power.
+Options of the base: with `target="member"` each member has a target of its own, its slow copy less `target_deviations`
+times the slow copies' disagreement (PBRL). With `return_steps` n above 1, r is the discounted sum of the next n logged
+rewards, s' the state n steps on, and the discount of the target its n-th power. `reward_scale` multiplies all rewards;
+`warm_start` fits the networks to the log before the first update.
 
 Differs from SAC-N by default: layer-normalised critics, targets clipped to the range that the rewards allow, and no
 entropy in the target. Each is a field. docs/algorithms/odaf.md shows what each of them does.
@@ -25,12 +27,14 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import jax.random as jr
+import numpy as np
 import optax
 from jaxtyping import Array, Float, Int, PRNGKeyArray, PyTree
 
 from odaf.algorithms.base import Algorithm, LearnerState, Metrics, PretrainProgress
 from odaf.algorithms.terms.base import Context, Term
-from odaf.components.critics import CriticEnsemble, init_critics
+from odaf.algorithms.warm_start import fit_to_log, returns_to_go
+from odaf.components.critics import CriticEnsemble, disagreement, init_critics
 from odaf.components.losses import ensemble_td_gradient, soft_actor_loss, temperature_loss
 from odaf.components.policies import GaussianActor, init_gaussian_actor
 from odaf.components.targets import bellman_target, copy_of, polyak, value_range
@@ -39,6 +43,8 @@ from odaf.data.normalisation import Normaliser
 from odaf.data.spec import Spec
 from odaf.data.transitions import Transitions
 from odaf.errors import ConfigError
+
+LARGEST_SCALED_VALUE = 10.0  # of `reward_scale="auto"`
 
 
 class EnsembleState(LearnerState):
@@ -53,8 +59,10 @@ class EnsembleState(LearnerState):
     actor_optimiser: optax.OptState
     critic_optimiser: optax.OptState
     temperature_optimiser: optax.OptState
-    value_bounds: Float[Array, "2"]
+    reward_scale: Float[Array, ""]
+    value_bounds: Float[Array, "2"]  # of scaled rewards
     side: tuple[PyTree, ...]  # one entry a term, frozen
+    memory: tuple[PyTree, ...]  # one entry a term, what it carries from update to update
 
 
 @dataclasses.dataclass(frozen=True)
@@ -72,6 +80,12 @@ class EnsembleSAC(Algorithm[EnsembleState]):
     critic_output_bound: float = 3e-3
     """Initial weights of the critics' last layer are uniform in plus or minus this. More than the published 3e-3 makes
     the members differ where the log does not hold them together, so that their minimum is more cautious there."""
+    prior_scale: float = 0.0
+    """Factor of a fixed random network added to each critic and to its slow copy (PBRL-Prior 1.0); 0 adds none."""
+    target: Literal["min", "member"] = "min"
+    """Values in the critics' targets: the lowest slow critic for all members, or each member's own slow copy."""
+    target_deviations: float = 0.0
+    """Standard deviations over the slow critics that are taken off those values (PBRL 0.01)."""
     value_range: Literal["auto", "none"] = "auto"
     """Clip the critics' targets to what the logged rewards allow at this discount, or do not."""
     entropy_in_backup: bool = False
@@ -83,6 +97,13 @@ class EnsembleSAC(Algorithm[EnsembleState]):
     return_steps: int = 1
     """n: targets sum the next n logged rewards before they bootstrap. More carries values back in fewer updates and
     piles up less pessimism on the way, at the price of trusting the logged actions for n steps."""
+    reward_scale: Literal["auto"] | float = 1.0
+    """Factor on all rewards. "auto" makes the largest value that the logged rewards allow 10, a size that an optimiser
+    reaches soon. Weights of terms and the entropy bonus stand beside scaled values; metrics are in the log's units."""
+    warm_start: Literal["none", "returns"] = "none"
+    """"returns" first fits the critics to the logged discounted returns and the actor to the logged actions."""
+    warm_start_steps: int = 4000
+    """Updates of that fit."""
     target_rate: float = 5e-3
     """Share of the online critics that enters the target critics at each update."""
     slow_actor_rate: float = 5e-3
@@ -116,7 +137,12 @@ class EnsembleSAC(Algorithm[EnsembleState]):
                 raise ConfigError(
                     f"{field}={getattr(self, field)} must lie in (0, 1]: the share that moves each update"
                 )
-        for field in ("batch_size", "return_steps"):
+        if self.reward_scale != "auto" and not 0.0 < self.reward_scale < math.inf:
+            raise ConfigError(f"reward_scale={self.reward_scale} must be positive, or 'auto'")
+        for field in ("prior_scale", "target_deviations"):
+            if getattr(self, field) < 0.0:
+                raise ConfigError(f"{field}={getattr(self, field)} must not be negative")
+        for field in ("batch_size", "return_steps", "warm_start_steps"):
             if getattr(self, field) < 1:
                 raise ConfigError(f"{field}={getattr(self, field)} must be at least 1")
         if any(width < 1 for width in self.hidden_sizes):
@@ -133,13 +159,14 @@ class EnsembleSAC(Algorithm[EnsembleState]):
     # ---- before training ----------------------------------------------------------------------------------------
 
     def untrained_side(self, key: PRNGKeyArray, spec: Spec) -> tuple[PyTree, ...]:
-        """The active terms' side networks, untrained."""
-        return tuple(term.untrained_side(_key_for(term, key), spec) for term in self.active_terms)
+        """The active terms' side networks, untrained; with a warm start, the first networks behind them."""
+        sides = tuple(term.untrained_side(_key_for(term, key), spec) for term in self.active_terms)
+        return sides if self.warm_start == "none" else (*sides, self._networks(key, spec))
 
     def pretrain(
         self, dataset: Dataset, normaliser: Normaliser, key: PRNGKeyArray, progress: PretrainProgress
     ) -> tuple[tuple[PyTree, ...], dict[str, Any]]:
-        """Train each active term's side network; the report has an entry a term."""
+        """Train each active term's side network, then the warm start; the report has an entry for each."""
         sides: list[PyTree] = []
         report: dict[str, Any] = {"warnings": []}
         for term in self.active_terms:
@@ -148,22 +175,30 @@ class EnsembleSAC(Algorithm[EnsembleState]):
             report["warnings"] += findings.pop("warnings")
             if findings:
                 report[term.name] = findings
+        if self.warm_start == "returns":
+            spec, key_fit = dataset.spec(), jr.fold_in(key, zlib.crc32(b"warm start"))
+            low, high = np.asarray(self._value_bounds(spec))
+            actor, critics, findings = fit_to_log(
+                *self._networks(key, spec),
+                dataset,
+                normaliser,
+                np.clip(self._scale(spec) * returns_to_go(dataset, self.discount), low, high),
+                key_fit,
+                steps=self.warm_start_steps,
+                batch_size=self.batch_size,
+                learning_rate=self.critic_learning_rate,
+                progress=lambda done, steps: progress("warm start", done, steps),
+            )
+            sides.append((actor, critics))
+            report["warm_start"] = findings
         return tuple(sides), report
 
     def init(self, key: PRNGKeyArray, spec: Spec, side: tuple[PyTree, ...]) -> EnsembleState:
-        """Random networks, slow copies equal to them, fresh optimisers."""
-        key_actor, key_critics = jr.split(key)
-        actor = init_gaussian_actor(key_actor, spec.obs_dim, spec.act_dim, self.hidden_sizes)
-        critics = init_critics(
-            key_critics,
-            spec.obs_dim,
-            spec.act_dim,
-            self.hidden_sizes,
-            self.num_critics,
-            self.critic_norm,
-            self.critic_output_bound,
-        )
-        bounds = value_range(spec, self.discount) if self.value_range == "auto" else (-math.inf, math.inf)
+        """Random networks or those of the warm start, slow copies equal to them, fresh optimisers."""
+        if self.warm_start == "none":
+            actor, critics = self._networks(key, spec)
+        else:
+            *side, (actor, critics) = side
         log_temperature = jnp.asarray(math.log(self.initial_temperature), dtype=jnp.float32)
         return EnsembleState(
             step=jnp.asarray(0),
@@ -175,34 +210,63 @@ class EnsembleSAC(Algorithm[EnsembleState]):
             actor_optimiser=_moments(self.actor_learning_rate, actor),
             critic_optimiser=_moments(self.critic_learning_rate, critics),
             temperature_optimiser=_moments(self.temperature_learning_rate, log_temperature),
-            value_bounds=jnp.asarray(bounds, dtype=jnp.float32),
-            side=side,
+            reward_scale=jnp.asarray(self._scale(spec), dtype=jnp.float32),
+            value_bounds=self._value_bounds(spec),
+            side=tuple(side),
+            memory=tuple(term.first_memory() for term in self.active_terms),
         )
+
+    def _networks(self, key: PRNGKeyArray, spec: Spec) -> tuple[GaussianActor, CriticEnsemble]:
+        key_actor, key_critics = jr.split(key)
+        critics = init_critics(
+            key_critics,
+            spec.obs_dim,
+            spec.act_dim,
+            self.hidden_sizes,
+            self.num_critics,
+            self.critic_norm,
+            self.critic_output_bound,
+            self.prior_scale,
+        )
+        return init_gaussian_actor(key_actor, spec.obs_dim, spec.act_dim, self.hidden_sizes), critics
+
+    def _scale(self, spec: Spec) -> float:
+        if self.reward_scale != "auto":
+            return self.reward_scale
+        return LARGEST_SCALED_VALUE / (max(map(abs, value_range(spec, self.discount))) or LARGEST_SCALED_VALUE)
+
+    def _value_bounds(self, spec: Spec) -> Float[Array, "2"]:
+        bounds = value_range(spec, self.discount) if self.value_range == "auto" else (-math.inf, math.inf)
+        return jnp.asarray(bounds, dtype=jnp.float32) * self._scale(spec)
 
     # ---- losses -------------------------------------------------------------------------------------------------
 
-    def target(self, state: EnsembleState, batch: Transitions, key: PRNGKeyArray) -> Float[Array, " rows"]:
-        """y, clipped to the value range."""
+    def targets(self, state: EnsembleState, batch: Transitions, key: PRNGKeyArray) -> Float[Array, "*critics rows"]:
+        """y, clipped to the value range: one for all members, or with `target="member"` one for each."""
         noise = jr.normal(key, batch.actions.shape)
         next_actions, log_density = state.actor.sample(batch.next_observations, noise)
-        next_values = jnp.min(state.target_critics(batch.next_observations, next_actions), axis=0)
+        members = state.target_critics(batch.next_observations, next_actions)
+        next_values = jnp.min(members, axis=0) if self.target == "min" else members
+        if self.target_deviations != 0.0:
+            next_values = next_values - self.target_deviations * disagreement(members, ddof=1)
         if self.entropy_in_backup:
             next_values = next_values - jnp.exp(state.log_temperature) * log_density
-        y = bellman_target(batch.rewards, batch.terminated, next_values, self.discount**self.return_steps)
+        rewards = state.reward_scale * batch.rewards
+        y = bellman_target(rewards, batch.terminated, next_values, self.discount**self.return_steps)
         return jnp.clip(y, state.value_bounds[0], state.value_bounds[1])
 
     def critic_gradient(
         self, state: EnsembleState, batch: Transitions, key: PRNGKeyArray
     ) -> tuple[CriticEnsemble, Metrics]:
         """Gradient of L_Q plus the terms' additions with respect to the critics."""
-        y = self.target(state, batch, jr.fold_in(key, 0))
+        y = self.targets(state, batch, jr.fold_in(key, 0))
         gradient, loss, values = ensemble_td_gradient(state.critics, batch.observations, batch.actions, y)
         metrics = {
             "critic/loss": loss,
-            "critic/mean": jnp.mean(values),
-            "critic/min": jnp.min(values),
-            "critic/max": jnp.max(values),
-            "target/mean": jnp.mean(y),
+            "critic/mean": jnp.mean(values) / state.reward_scale,
+            "critic/min": jnp.min(values) / state.reward_scale,
+            "critic/max": jnp.max(values) / state.reward_scale,
+            "target/mean": jnp.mean(y) / state.reward_scale,
         }
         if any(term.acts_on_critics for term in self.active_terms):
             additions = eqx.filter_grad(self.critic_additions, has_aux=True)
@@ -216,8 +280,9 @@ class EnsembleSAC(Algorithm[EnsembleState]):
         """What the terms add to L_Q, as a function of the critics."""
         loss, metrics = jnp.zeros(()), {}
         context = self._context(state, batch, critics=critics)
-        for term, side in zip(self.active_terms, state.side, strict=True):
+        for term, side, memory in zip(self.active_terms, state.side, state.memory, strict=True):
             if term.acts_on_critics:
+                context = dataclasses.replace(context, memory=memory)
                 addition, more = term.critic_loss(context, side, _key_for(term, key))
                 loss, metrics = loss + addition, metrics | more
         return loss, metrics
@@ -231,10 +296,12 @@ class EnsembleSAC(Algorithm[EnsembleState]):
         critics = state.critics if self.actor_critic == "online" else state.target_critics
         values = jnp.min(critics.as_constants(batch.observations, actions), axis=0)
         loss = soft_actor_loss(log_density, values, jnp.exp(state.log_temperature))
-        metrics = {"actor/loss": loss, "actor/value": jnp.mean(values), "actor/entropy": -jnp.mean(log_density)}
+        value = jnp.mean(values) / state.reward_scale
+        metrics = {"actor/loss": loss, "actor/value": value, "actor/entropy": -jnp.mean(log_density)}
         context = self._context(state, batch, actor=actor)
-        for term, side in zip(self.active_terms, state.side, strict=True):
+        for term, side, memory in zip(self.active_terms, state.side, state.memory, strict=True):
             if term.acts_on_actor:
+                context = dataclasses.replace(context, memory=memory)
                 addition, more = term.actor_loss(context, side, _key_for(term, key))
                 loss, metrics = loss + addition, metrics | more
         return loss, (log_density, metrics)
@@ -258,20 +325,25 @@ class EnsembleSAC(Algorithm[EnsembleState]):
         log_temperature, temperature_optimiser = _adam(
             self.temperature_learning_rate, temperature_gradient, state.temperature_optimiser, state.log_temperature
         )
-        new_state = EnsembleState(
+        metrics = actor_metrics | critic_metrics | {"temperature/value": jnp.exp(log_temperature)}
+        target_networks = polyak(state.target_critics.networks, critics.networks, self.target_rate)
+        new_state = dataclasses.replace(
+            state,
             step=state.step + 1,
             actor=actor,
             slow_actor=polyak(state.slow_actor, actor, self.slow_actor_rate),
             critics=critics,
-            target_critics=polyak(state.target_critics, critics, self.target_rate),
+            target_critics=dataclasses.replace(state.target_critics, networks=target_networks),
             log_temperature=log_temperature,
             actor_optimiser=actor_optimiser,
             critic_optimiser=critic_optimiser,
             temperature_optimiser=temperature_optimiser,
-            value_bounds=state.value_bounds,
-            side=state.side,
+            memory=tuple(
+                term.next_memory(memory, state.step + 1, metrics)
+                for term, memory in zip(self.active_terms, state.memory, strict=True)
+            ),
         )
-        return new_state, actor_metrics | critic_metrics | {"temperature/value": jnp.exp(log_temperature)}
+        return new_state, metrics
 
     def act(self, state: EnsembleState, observations: Float[Array, "rows obs_dim"]) -> Float[Array, "rows act_dim"]:
         """tanh of the deployed actor's mean."""

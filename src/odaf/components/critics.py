@@ -6,37 +6,52 @@ from typing import TypeVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import jax.random as jr
 from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 
 from odaf.components.networks import MLP, Norm, init_mlp
+from odaf.components.targets import frozen
 
 ROOT_EPSILON = 1e-12
 
+Member = TypeVar("Member", bound=PyTree)
 Result = TypeVar("Result", bound=PyTree)
 
 
-def over_members(function: Callable[[MLP], Result], networks: MLP) -> Result:
-    """Apply a function of one network to every network of a stack; results are stacked along a new first axis.
+def over_members(function: Callable[[Member], Result], stack: Member) -> Result:
+    """Apply a function of one member to every member of a stack; results are stacked along a new first axis.
 
     On a CPU one member is done after another, so that its activations stay in the cache: 1.4 to 1.5 times as fast as
     one batched product at 256 rows and 256 units. Elsewhere all members are one batched product.
     """
     if jax.default_backend() == "cpu":
-        return jax.lax.map(function, networks)
-    return jax.vmap(function)(networks)
+        return jax.lax.map(function, stack)
+    return jax.vmap(function)(stack)
 
 
 class CriticEnsemble(eqx.Module):
-    """Q_1..Q_K as one stack of networks."""
+    """Q_1..Q_K as one stack of networks, each with a fixed random network added to it if there are priors.
+
+    Inside `over_members` the same class stands for a single member.
+    """
 
     networks: MLP
+    priors: MLP | None = None  # never trained
+    prior_scale: float = eqx.field(static=True, default=0.0)
 
     def __call__(
         self, observations: Float[Array, "rows obs_dim"], actions: Float[Array, "rows act_dim"]
     ) -> Float[Array, "critics rows"]:
         """Q_k(s, a) of every member for every row."""
         inputs = jnp.concatenate([observations, actions], axis=-1)
-        return over_members(lambda network: network(inputs)[:, 0], self.networks)
+        return over_members(lambda member: member.value(inputs), self)
+
+    def value(self, inputs: Float[Array, "rows in_dim"]) -> Float[Array, " rows"]:
+        """Q_k of a single member for rows of states and actions side by side; its prior gets no gradient."""
+        values = self.networks(inputs)[:, 0]
+        if self.priors is None:
+            return values
+        return values + self.prior_scale * frozen(self.priors)(inputs)[:, 0]
 
     def as_constants(
         self, observations: Float[Array, "rows obs_dim"], actions: Float[Array, "rows act_dim"]
@@ -46,26 +61,30 @@ class CriticEnsemble(eqx.Module):
         Reverse mode only. What an actor's loss should use: it takes each member's slope in its inputs together with its
         value, which is 1.6 times as fast on a CPU as a backward pass after all forward passes.
         """
-        return _values_of_constants(self.networks, jnp.concatenate([observations, actions], axis=-1))
+        return _values_of_constants(self, jnp.concatenate([observations, actions], axis=-1))
 
 
 @jax.custom_vjp
-def _values_of_constants(networks: MLP, inputs: Float[Array, "rows in_dim"]) -> Float[Array, "critics rows"]:
-    return over_members(lambda network: network(inputs)[:, 0], networks)
+def _values_of_constants(critics: CriticEnsemble, inputs: Float[Array, "rows in_dim"]) -> Float[Array, "critics rows"]:
+    return over_members(lambda member: member.value(inputs), critics)
 
 
-def _values_and_slopes(networks: MLP, inputs: Float[Array, "rows in_dim"]) -> tuple[Array, tuple[Array, MLP]]:
-    def member(network: MLP) -> tuple[Float[Array, " rows"], Float[Array, "rows in_dim"]]:
-        values, pull_back = jax.vjp(lambda rows: network(rows)[:, 0], inputs)
+def _values_and_slopes(
+    critics: CriticEnsemble, inputs: Float[Array, "rows in_dim"]
+) -> tuple[Array, tuple[Array, CriticEnsemble]]:
+    def member(critic: CriticEnsemble) -> tuple[Float[Array, " rows"], Float[Array, "rows in_dim"]]:
+        values, pull_back = jax.vjp(critic.value, inputs)
         return values, pull_back(jnp.ones_like(values))[0]  # rows do not interact: dQ_k/d(input) of every row
 
-    values, slopes = over_members(member, networks)
-    return values, (slopes, networks)
+    values, slopes = over_members(member, critics)
+    return values, (slopes, critics)
 
 
-def _pull_back(residuals: tuple[Array, MLP], cotangents: Float[Array, "critics rows"]) -> tuple[MLP, Array]:
-    slopes, networks = residuals
-    return jax.tree.map(jnp.zeros_like, networks), jnp.einsum("kr,kri->ri", cotangents, slopes)
+def _pull_back(
+    residuals: tuple[Array, CriticEnsemble], cotangents: Float[Array, "critics rows"]
+) -> tuple[CriticEnsemble, Array]:
+    slopes, critics = residuals
+    return jax.tree.map(jnp.zeros_like, critics), jnp.einsum("kr,kri->ri", cotangents, slopes)
 
 
 _values_of_constants.defvjp(_values_and_slopes, _pull_back)
@@ -79,10 +98,26 @@ def init_critics(
     num_critics: int,
     norm: Norm,
     output_bound: float,
+    prior_scale: float = 0.0,
 ) -> CriticEnsemble:
-    """Draw `num_critics` independent Q-functions; the last layer is uniform in plus or minus `output_bound`."""
+    """Draw `num_critics` independent Q-functions.
+
+    Args:
+        key: random key.
+        obs_dim: state dimension.
+        act_dim: action dimension.
+        hidden_sizes: widths of the hidden layers.
+        num_critics: K.
+        norm: whether hidden layers are normalised.
+        output_bound: the last layer is uniform in plus or minus this.
+        prior_scale: factor of a fixed random network of the same shape, drawn like a hidden layer throughout, that is
+            added to each member (Osband et al. 2018, randomised prior functions); 0 adds none.
+    """
     sizes = (obs_dim + act_dim, *hidden_sizes, 1)
-    return CriticEnsemble(init_mlp(key, sizes, members=num_critics, norm=norm, output_bound=output_bound))
+    networks = init_mlp(key, sizes, members=num_critics, norm=norm, output_bound=output_bound)
+    if prior_scale == 0.0:
+        return CriticEnsemble(networks)
+    return CriticEnsemble(networks, init_mlp(jr.fold_in(key, len(sizes)), sizes, members=num_critics), prior_scale)
 
 
 def disagreement(values: Float[Array, "critics *rows"], ddof: int = 0) -> Float[Array, "*rows"]:

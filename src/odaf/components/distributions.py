@@ -9,6 +9,16 @@ LOG_TWO_PI = math.log(2.0 * math.pi)
 SQUASH_EPSILON = 1e-6
 
 
+def tanh_gaussian_log_density(
+    mean: Float[Array, "*rows act_dim"], log_std: Float[Array, "*rows act_dim"], action: Float[Array, "*rows act_dim"]
+) -> Float[Array, "*rows"]:
+    """log pi(a|s) of a given action inside (-1, 1), in nats; with the same floor as `sample_tanh_gaussian`."""
+    noise = (jnp.arctanh(action) - mean) * jnp.exp(-log_std)
+    log_density = -0.5 * (jnp.square(noise) + LOG_TWO_PI) - log_std
+    correction = jnp.log(1.0 - jnp.square(action) + SQUASH_EPSILON)
+    return jnp.sum(log_density - correction, axis=-1)
+
+
 def sample_tanh_gaussian(
     mean: Float[Array, "*rows act_dim"], log_std: Float[Array, "*rows act_dim"], noise: Float[Array, "*rows act_dim"]
 ) -> tuple[Float[Array, "*rows act_dim"], Float[Array, "*rows"]]:

@@ -5,7 +5,6 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from odaf.components.critics import CriticEnsemble, over_members
-from odaf.components.networks import MLP
 
 
 def td_loss(values: Float[Array, " rows"], target: Float[Array, " rows"]) -> Float[Array, ""]:
@@ -17,25 +16,28 @@ def ensemble_td_gradient(
     critics: CriticEnsemble,
     observations: Float[Array, "rows obs_dim"],
     actions: Float[Array, "rows act_dim"],
-    target: Float[Array, " rows"],
+    target: Float[Array, "*critics rows"],
 ) -> tuple[CriticEnsemble, Float[Array, ""], Float[Array, "critics rows"]]:
-    """Gradient, value and predictions of L_Q = sum_k mean_B (Q_k - y)^2.
+    """Gradient, value and predictions of L_Q = sum_k mean_B (Q_k - y)^2, with one y for all members or one each.
 
     Summing over members makes each member's effective learning rate independent of the ensemble's size. It also means
     that members do not interact, so each one's gradient is taken on its own, forward and backward in one go.
     """
     inputs = jnp.concatenate([observations, actions], axis=-1)
 
-    def member(network: MLP) -> tuple[MLP, Float[Array, ""], Float[Array, " rows"]]:
-        def loss(network: MLP) -> tuple[Float[Array, ""], Float[Array, " rows"]]:
-            values = network(inputs)[:, 0]
-            return td_loss(values, target), values
+    def member(critic: CriticEnsemble, y: Float[Array, " rows"]) -> tuple[CriticEnsemble, Array, Array]:
+        def loss(critic: CriticEnsemble) -> tuple[Float[Array, ""], Float[Array, " rows"]]:
+            values = critic.value(inputs)
+            return td_loss(values, y), values
 
-        (value, predictions), gradient = jax.value_and_grad(loss, has_aux=True)(network)
+        (value, predictions), gradient = jax.value_and_grad(loss, has_aux=True)(critic)
         return gradient, value, predictions
 
-    gradients, values, predictions = over_members(member, critics.networks)
-    return CriticEnsemble(gradients), jnp.sum(values), predictions
+    if target.ndim == 1:
+        gradients, values, predictions = over_members(lambda critic: member(critic, target), critics)
+    else:
+        gradients, values, predictions = over_members(lambda pair: member(*pair), (critics, target))
+    return gradients, jnp.sum(values), predictions
 
 
 def soft_actor_loss(

@@ -15,9 +15,9 @@ Networks = TypeVar("Networks", bound=PyTree)
 def bellman_target(
     rewards: Float[Array, " rows"],
     terminated: Float[Array, " rows"],
-    next_values: Float[Array, " rows"],
+    next_values: Float[Array, "*critics rows"],
     discount: float,
-) -> Float[Array, " rows"]:
+) -> Float[Array, "*critics rows"]:
     """y = r + discount * (1 - d) * V(s'): a true end bootstraps to zero, a time-out (d = 0) does not."""
     return rewards + discount * (1.0 - terminated) * next_values
 

@@ -26,6 +26,7 @@ class Context(eqx.Module):
     target_critics: CriticEnsemble
     value_bounds: Float[Array, "2"]  # smallest and largest target; infinite when targets are not clipped
     step: Int[Array, ""]
+    memory: PyTree = ()  # what the term that is asked remembers; see `Term.first_memory`
 
 
 class Term(abc.ABC):
@@ -51,6 +52,21 @@ class Term(abc.ABC):
         """Train the side network; the report's entry "warnings" lists sentences for the user."""
         del dataset, normaliser, key, progress
         return (), {"warnings": []}
+
+    def first_memory(self) -> PyTree:
+        """What the term remembers from update to update, before the first one; () when that is nothing."""
+        return ()
+
+    def next_memory(self, memory: PyTree, step: Int[Array, ""], metrics: Metrics) -> PyTree:
+        """The memory after an update.
+
+        Args:
+            memory: the memory that the update saw.
+            step: updates made, this one included.
+            metrics: the term's own metrics of this update, among others.
+        """
+        del step, metrics
+        return memory
 
     def actor_loss(self, context: Context, side: PyTree, key: PRNGKeyArray) -> tuple[Float[Array, ""], Metrics]:
         """Weighted addition to the actor's loss. Gradients must reach `context.actor` only."""

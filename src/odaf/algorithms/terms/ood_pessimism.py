@@ -4,11 +4,16 @@
 
 RORL perturbs the states and uses one lambda_t that decays; PBRL uses the states and the next states as they are, a
 constant lambda at the next states, and floors the targets at 0. Both are settings of this one term.
+
+PBRL's code also eases lambda_t once it has stopped decaying (`adaptive`): the mean of Q at the policy's actions is
+recorded every 1,000 updates, and where the last 5 records lie below the 15 before them on average, lambda_t is divided
+by 1.01 from then on, as long as it is above 0.2.
 """
 
 import dataclasses
-from typing import ClassVar
+from typing import Any, ClassVar
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import jax.random as jr
@@ -20,6 +25,19 @@ from odaf.components.critics import disagreement
 from odaf.components.perturbations import draw_offsets
 from odaf.components.targets import frozen
 from odaf.errors import ConfigError
+
+EPOCH = 1000  # updates a record
+RECORDS, RECENT = 20, 5
+EASING, LEAST_DEVIATIONS = 1.01, 0.2
+
+
+class Easing(eqx.Module):
+    """What `adaptive` remembers."""
+
+    factor: Float[Array, ""]  # on lambda_t
+    records: Float[Array, " records"]  # newest last
+    count: Int[Array, ""]  # records made
+    total: Float[Array, ""]  # of the values since the last record
 
 
 @dataclasses.dataclass(frozen=True)
@@ -43,6 +61,8 @@ class OODPessimism(Term):
     """lambda after decay_steps."""
     decay_steps: int = 0
     """Updates over which lambda goes linearly from deviations to final_deviations; 0 keeps it constant."""
+    adaptive: bool = False
+    """Ease lambda after decay_steps where the policy's values fall (PBRL on all but expert and medium-expert data)."""
     next_deviations: float | None = None
     """lambda for policy actions at the next states (PBRL 0.1); None leaves the next states out (RORL)."""
     floor: float | None = None
@@ -64,22 +84,44 @@ class OODPessimism(Term):
         share = jnp.minimum(step / self.decay_steps, 1.0)
         return self.deviations + (self.final_deviations - self.deviations) * share
 
+    def first_memory(self) -> Easing | tuple[()]:
+        """No easing and no records yet."""
+        if not self.adaptive:
+            return ()
+        return Easing(jnp.ones(()), jnp.zeros(RECORDS), jnp.zeros((), jnp.int32), jnp.zeros(()))
+
+    def next_memory(self, memory: Any, step: Int[Array, ""], metrics: Metrics) -> Any:
+        """Adds this update's value; after a whole epoch makes a record and eases lambda where values fall."""
+        if not self.adaptive:
+            return ()
+        total = memory.total + metrics["ood/value"]
+        ends = step % EPOCH == 0
+        records = jnp.where(ends, jnp.append(memory.records[1:], total / EPOCH), memory.records)
+        count = memory.count + ends
+        falls = jnp.mean(records[-RECENT:]) < jnp.mean(records[:-RECENT])
+        high = memory.factor * self.deviations_at(step) > LEAST_DEVIATIONS
+        eases = ends & (step > self.decay_steps) & (count >= RECORDS) & falls & high
+        factor = jnp.where(eases, memory.factor / EASING, memory.factor)
+        return Easing(factor, records, count, jnp.where(ends, 0.0, total))
+
     def critic_loss(self, context: Context, side: PyTree, key: PRNGKeyArray) -> tuple[Float[Array, ""], Metrics]:
         """weight * mean squared distance to the lowered targets; its gradient reaches the critics only."""
         del side
         key_here, key_next = jr.split(key)
         weight_here = self.deviations_at(context.step)
-        loss, spread = self._pull_down(context, context.batch.observations, weight_here, key_here)
-        metrics = {"ood/uncertainty": spread, "ood/deviations": weight_here}
+        if self.adaptive:
+            weight_here = context.memory.factor * weight_here
+        loss, spread, value = self._pull_down(context, context.batch.observations, weight_here, key_here)
+        metrics = {"ood/uncertainty": spread, "ood/value": value, "ood/deviations": weight_here}
         if self.next_deviations is not None:  # a mean over twice the rows
             weight_next = jnp.asarray(self.next_deviations)
-            loss_next, _ = self._pull_down(context, context.batch.next_observations, weight_next, key_next)
+            loss_next, _, _ = self._pull_down(context, context.batch.next_observations, weight_next, key_next)
             loss = 0.5 * (loss + loss_next)
         return self.weight * loss, {"ood/loss": loss, **metrics}
 
     def _pull_down(
         self, context: Context, states: Float[Array, "rows obs_dim"], deviations: Float[Array, ""], key: PRNGKeyArray
-    ) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    ) -> tuple[Float[Array, ""], Float[Array, ""], Float[Array, ""]]:
         rows, obs_dim = states.shape
         draws = self.num_actions
         key_offsets, key_actions = jr.split(key)
@@ -95,4 +137,5 @@ class OODPessimism(Term):
         targets = jnp.clip(targets, context.value_bounds[0], context.value_bounds[1])
         if self.floor is not None:
             targets = jnp.maximum(targets, self.floor)
-        return jnp.mean(jnp.square(values - jax.lax.stop_gradient(targets))), jnp.mean(spread)
+        loss = jnp.mean(jnp.square(values - jax.lax.stop_gradient(targets)))
+        return loss, jnp.mean(spread), jnp.mean(values)

@@ -59,6 +59,8 @@ class OutcomePenalty(Term):
     """Policy that acts at the predicted state: the slow copy pi', or pi itself (its parameters frozen)."""
     next_action: Literal["sample", "mode"] = "sample"
     """Draw that action, or take the policy's deterministic one."""
+    next_action_at: Literal["outcome", "perturbed"] = "outcome"
+    """State at which that action is chosen: the predicted one, or the perturbed current one (the released code)."""
     detach_next_action: bool = False
     """Stop the gradient from U to the predicted state at the action a', leaving the direct path."""
     std_ddof: Literal[0, 1] = 0
@@ -161,10 +163,11 @@ class OutcomePenalty(Term):
         action, _ = actor.sample(perturbed, action_noise)  # a^ ~ pi(s^)
         outcome = side.predict(perturbed, action, dynamics_noise)  # s^' = P(s^, a^)
         next_actor = context.slow_actor if self.next_policy == "slow" else frozen(context.actor)
+        state = outcome if self.next_action_at == "outcome" else perturbed
         if self.next_action == "sample":
-            next_action, _ = next_actor.sample(outcome, next_noise)  # a^' ~ pi'(s^')
+            next_action, _ = next_actor.sample(state, next_noise)  # a^' ~ pi'(s^')
         else:
-            next_action = next_actor.mode(outcome)
+            next_action = next_actor.mode(state)
         if self.detach_next_action:
             next_action = jax.lax.stop_gradient(next_action)
         return disagreement(
