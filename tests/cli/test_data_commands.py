@@ -9,9 +9,7 @@ import numpy as np
 import pytest
 
 from odaf.cli import main
-from odaf.cli.readers import ReaderOptions
 from odaf.data import Dataset
-from odaf.errors import ConfigError
 
 TABLE = [
     "--observations",
@@ -145,35 +143,3 @@ def test_plot_is_one_page_that_stands_alone(valve: Path, tmp_path: Path):
     explained = [int(share) for share in re.findall(r"component, (\d+)% of the variance", page)]
     assert len(explained) == 2
     assert 98 <= sum(explained) <= 102  # two columns: the two axes hold everything
-
-
-@pytest.mark.parametrize(
-    ("given", "expected"),
-    [
-        ({"action_bounds": (0.0, 1.0)}, {"action_bounds": (0.0, 1.0)}),
-        (
-            {"action_bounds": (0.0, 1.0, -1.0, 2.0), "actions": ("a", "b")},
-            {"action_bounds": {"a": (0.0, 1.0), "b": (-1.0, 2.0)}, "actions": ("a", "b")},
-        ),
-        ({"action_bounds": (0.0, 1.0, -1.0, 2.0)}, {"action_bounds": ((0.0, -1.0), (1.0, 2.0))}),
-        ({"units": ("headings",)}, {"units": "headings"}),
-        ({"units": ("level=m", "valve=a=b")}, {"units": {"level": "m", "valve": "a=b"}}),
-        ({"format": "csv"}, {}),
-    ],
-)
-def test_options_as_the_reader_takes_them(given: dict, expected: dict):
-    assert ReaderOptions(**given).for_reader() == expected
-
-
-@pytest.mark.parametrize(
-    "given",
-    [
-        {"action_bounds": (1.0,)},
-        {"action_bounds": (1.0, 2.0, 3.0)},
-        {"action_bounds": (0.0, 1.0, 0.0, 1.0), "actions": ("a",)},
-        {"units": ("level",)},
-    ],
-)
-def test_options_that_make_no_sense(given: dict):
-    with pytest.raises(ConfigError, match="--(action-bounds|units): "):
-        ReaderOptions(**given).for_reader()

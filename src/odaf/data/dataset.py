@@ -338,7 +338,7 @@ class Dataset:
         from odaf.data import readers, storage
 
         given = {name: value for name, value in options.items() if value is not None}
-        if format is not None or readers.detect(path) != "odaf":
+        if format is not None or not storage.is_own_file(path):
             return readers.read(path, format=format, **given).to_dataset()
         with storage.opened(path) as (file, source):
             for option, value in given.items():
