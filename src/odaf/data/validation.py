@@ -1,5 +1,6 @@
 """Checks that columns must pass before they become a dataset; each failure names the source, field, rows and remedy."""
 
+import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -208,6 +209,16 @@ def infos(source: str, columns: Mapping[str, Any], rows: int) -> dict[str, np.nd
             )
         own[name] = array
     return own
+
+
+def plain_json(source: str, provenance: Any) -> dict[str, Any]:
+    """A copy of `provenance` in JSON types alone."""
+    try:
+        return json.loads(json.dumps(provenance, allow_nan=False))
+    except (TypeError, ValueError) as error:
+        raise DatasetError(
+            f"{source}: provenance must consist of JSON types ({error}); convert arrays with .tolist()"
+        ) from error
 
 
 def _one_per_row(source: str, field: str, array: np.ndarray) -> np.ndarray:
