@@ -24,6 +24,7 @@ def completed(
     action_names: Sequence[str] | None,
     infos: Mapping[str, Any],
     provenance: Mapping[str, Any],
+    row_numbers: validation.RowNumbers | None,
 ) -> dict[str, Any]:
     """Arguments of `Dataset` from raw columns: ends and successors filled in, rounding clipped, all of it counted.
 
@@ -36,16 +37,22 @@ def completed(
         DatasetError: as `Dataset.from_arrays`.
     """
     own = {
-        "observations": validation.matrix(source, "observations", columns["observations"]),
-        "actions": validation.matrix(source, "actions", columns["actions"]),
-        "rewards": validation.vector(source, "rewards", columns["rewards"]),
+        "observations": validation.matrix(source, "observations", columns["observations"], row_numbers),
+        "actions": validation.matrix(source, "actions", columns["actions"], row_numbers),
+        "rewards": validation.vector(source, "rewards", columns["rewards"], row_numbers),
     }
     if columns["next_observations"] is not None:
-        own["next_observations"] = validation.matrix(source, "next_observations", columns["next_observations"])
+        own["next_observations"] = validation.matrix(
+            source, "next_observations", columns["next_observations"], row_numbers
+        )
     for name in ("terminated", "truncated"):
         if columns[name] is not None:
-            own[name] = validation.flags(source, name, columns[name])
+            own[name] = validation.flags(source, name, columns[name], row_numbers)
     rows = validation.same_length(source, own)
+    if row_numbers is not None and len(row_numbers) != rows:
+        raise DatasetError(
+            f"{source}: row_numbers names {len(row_numbers):,} rows, there are {rows:,}; number each once"
+        )
     extra = validation.infos(source, infos, rows)
     if "next_observations" in own:
         validation.same_width(source, own["observations"], own["next_observations"])
@@ -58,9 +65,9 @@ def completed(
             )
     action_names = validation.names(source, "action_names", action_names, own["actions"].shape[1], "action")
     findings: list[dict[str, Any]] = []
-    low, high = _bounded_actions(source, own, action_names, action_bounds, findings)
+    low, high = _bounded_actions(source, own, action_names, action_bounds, findings, row_numbers)
     own |= {f"{_INFO}{name}": values for name, values in extra.items()}  # so that they lose the same rows
-    starts = episodes.complete(source, own, episode, findings)
+    starts = episodes.complete(source, own, episode, findings, row_numbers)
     extra = {name: own.pop(f"{_INFO}{name}") for name in extra}
     for column in own.values():
         column.setflags(write=False)  # so that the constructor need not copy it
@@ -84,6 +91,7 @@ def _bounded_actions(
     names: tuple[str, ...],
     bounds: validation.Bounds | None,
     findings: list[dict[str, Any]],
+    row_numbers: validation.RowNumbers | None,
 ) -> np.ndarray:
     """[2, act_dim] lowest and highest action; actions that miss them by rounding are moved onto them."""
     low, high = pair = validation.action_bounds(source, columns["actions"], names, bounds)
@@ -95,14 +103,15 @@ def _bounded_actions(
                 "message": "no action_bounds were given; the smallest and largest logged action stand in for them",
             }
         )
-    strays = validation.outside_bounds(source, columns["actions"], low, high)
+    strays = validation.outside_bounds(source, columns["actions"], low, high, row_numbers)
     if strays.any():
+        rows = validation.name_rows(strays, row_numbers)
         columns["actions"] = np.clip(columns["actions"], low, high)
         findings.append(
             {
                 "finding": "actions-clipped",
                 "count": int(strays.sum()),
-                "message": f"actions moved onto the bounds they miss by rounding, {validation.name_rows(strays)}",
+                "message": f"actions moved onto the bounds they miss by rounding, {rows}",
             }
         )
     return pair

@@ -91,6 +91,7 @@ class Dataset:
         infos: Mapping[str, Any] | None = None,
         provenance: Mapping[str, Any] | None = None,
         source: str = "Dataset.from_arrays",
+        row_numbers: validation.RowNumbers | None = None,
     ) -> "Dataset":
         """Builds a dataset from columns in time order; the caller's arrays are copied, never changed.
 
@@ -115,6 +116,8 @@ class Dataset:
             infos: further columns to keep beside the rows, {name: [N, ...]}; learners do not see them.
             provenance: JSON types, stored with the data.
             source: how error messages name these rows, for instance a file name.
+            row_numbers: [N] whole numbers that messages and findings give the rows, such as `range(2, N + 2)` for those
+                of a spreadsheet under its headings; None counts from 0.
 
         Raises:
             DatasetError: a column has the wrong type, shape or length, holds NaN or infinity, actions lie outside their
@@ -136,6 +139,7 @@ class Dataset:
             action_names=action_names,
             infos=infos or {},
             provenance=provenance or {},
+            row_numbers=row_numbers,
         )
         return cls(
             **fields,

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from odaf.data.validation import Bounds
+from odaf.data.validation import Bounds, RowNumbers
 
 if TYPE_CHECKING:
     from odaf.data.dataset import Dataset
@@ -52,7 +52,8 @@ class Log:
         infos: further columns to keep beside the rows, by name.
         provenance: JSON types: what the source says of itself.
         findings: what the reader had to decide, in the form of `Dataset.provenance["findings"]`.
-        row_offset: number of the first row in the source, as messages should give it; 2 for a CSV file with a heading.
+        row_numbers: [N] number of each row in the source, as messages should give it, such as `range(2, N + 2)` for a
+            CSV file with a heading; None counts from 0.
     """
 
     columns: Mapping[str, Column]
@@ -66,7 +67,7 @@ class Log:
     infos: Mapping[str, Column] = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)
     findings: tuple[Mapping[str, Any], ...] = ()
-    row_offset: int = 0
+    row_numbers: RowNumbers | None = None
 
     def __len__(self) -> int:
         return len(self.columns["observations"])
@@ -95,6 +96,7 @@ class Log:
             infos={name: _whole(column) for name, column in self.infos.items()},
             provenance={**self.provenance, "format": self.format, "findings": list(self.findings)},
             source=self.source,
+            row_numbers=self.row_numbers,
         )
 
 

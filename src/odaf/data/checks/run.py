@@ -3,6 +3,7 @@
 import math
 import os
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -48,6 +49,7 @@ def check_log(log: Log, *, widths: tuple[int, int] | None = None, progress: Prog
         for check in checks:
             findings += check.findings()
         figures = _figures(facts, checks)
+    findings = [_as_in_source(log, finding) for finding in findings]
     findings += known.version_findings(log)
     findings += [_from_reader(entry) for entry in log.findings]
     return Report(log.source, log.format, sort_findings(findings), figures)
@@ -160,6 +162,15 @@ def _figures(facts: Facts, checks: list[Check]) -> dict[str, Any]:
 def _plain(values: np.ndarray) -> list[float | None]:
     """JSON numbers; None for what is not finite."""
     return [value if math.isfinite(value) else None for value in map(float, values)]
+
+
+def _as_in_source(log: Log, finding: Finding) -> Finding:
+    """The finding with its rows, which checks count from 0, numbered as the source numbers them."""
+    numbers = log.row_numbers
+    if numbers is None:
+        return finding
+    # A column that is longer than the log has rows that the source's numbering does not reach.
+    return replace(finding, rows=tuple(int(numbers[row]) for row in finding.rows if row < len(numbers)))
 
 
 def _from_reader(entry: Any) -> Finding:
