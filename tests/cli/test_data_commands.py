@@ -65,6 +65,29 @@ def test_import_keeps_names_units_bounds_and_the_report(valve: Path):
     assert re.fullmatch(r"[0-9a-f]{64}", dataset.provenance["file_sha256"])
 
 
+def test_info_shows_what_the_import_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    table = write_table(tmp_path / "log.csv", valve=np.arange(3_000) % 4, profit=np.full(3_000, 2.5))
+    words = ["data", "import", str(table), "--out", str(tmp_path / "valve.h5"), *TABLE]
+    assert main([*words, "--accept", "actions-discrete"]) == 0
+    capsys.readouterr()
+    assert main(["data", "info", str(tmp_path / "valve.h5")]) == 0
+    changed, _, report = capsys.readouterr().out.partition("what the checks found before the import")
+    assert "dropped-without-successor (15): " in changed
+    assert "the first of them 101, 301" in changed  # the headings are row 1
+    assert "log.csv · csv" in report
+    assert re.search(r"error +actions-discrete", report)
+    assert re.search(r"warning +reward-constant +rewards +3,000 +every reward is 2.5", report)
+    assert report.endswith("errors accepted: actions-discrete\n")
+
+
+def test_info_shows_no_report_where_there_is_none(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    Dataset.from_arrays(np.zeros((4, 1)), np.zeros((4, 1)), np.zeros(4), episode=[0] * 4, action_bounds=(-1, 1)).save(
+        tmp_path / "log.h5"
+    )
+    assert main(["data", "info", str(tmp_path / "log.h5")]) == 0
+    assert "what the checks found" not in capsys.readouterr().out
+
+
 def test_a_log_with_errors_is_not_imported(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     table = write_table(tmp_path / "log.csv", valve=np.arange(3_000) % 4)
     words = ["data", "import", str(table), "--out", str(tmp_path / "valve.h5"), *TABLE]

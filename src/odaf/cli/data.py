@@ -11,7 +11,7 @@ import tyro
 
 from odaf.cli.interrupts import repeatable
 from odaf.cli.options import parse
-from odaf.cli.results import number, table
+from odaf.cli.results import number, print_report, table
 from odaf.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -68,10 +68,13 @@ class GenerateOptions:
 
 @dataclass(frozen=True)
 class InfoOptions:
-    """Say what a data set holds: sizes, returns, bounds, where it came from, what was changed on the way in."""
+    """Say what a data set holds: sizes, returns, bounds, where it came from, what was changed on the way in.
+
+    For a file that `odaf data import` wrote also what the checks found then, and which errors were accepted.
+    """
 
     file: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FILE")]
-    """A file of `odaf data generate`, or one in the D4RL layout."""
+    """A file of ours, or one in any layout that says itself what its columns mean."""
     json: bool = False
     """Print JSON."""
 
@@ -106,7 +109,19 @@ def info(arguments: list[str]) -> None:
 
     dataset = Dataset.load(options.file)
     summary = {"file": str(options.file), "sha256": dataset.fingerprint(), **dataset.summary()}
-    print(json.dumps(summary, indent=2) if options.json else describe(summary))
+    if options.json:
+        print(json.dumps(summary, indent=2))
+        return
+    print(describe(summary))
+
+    from odaf.data.checks import stored_report
+
+    if (stored := stored_report(dataset)) is not None:
+        report, accepted = stored
+        print("\nwhat the checks found before the import, rows as in the source:")
+        print_report(report)
+        if accepted:
+            print(f"errors accepted: {', '.join(accepted)}")
 
 
 def describe(summary: Mapping[str, Any]) -> str:
