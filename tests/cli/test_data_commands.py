@@ -157,6 +157,27 @@ def test_split_then_mix(valve: Path, tmp_path: Path, capsys: pytest.CaptureFixtu
     np.testing.assert_array_equal(Dataset.load(mixed).rewards[100:], Dataset.load(holdout).rewards[:900])
 
 
+def test_mix_per_batch(valve: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    mixed = str(tmp_path / "mixed.h5")
+    words = ["data", "mix", str(valve), str(valve), "--ratio", "0.9", "--per-batch", "--out", mixed]
+    assert main([*words, "--transitions", "9"]) == 2
+    assert "--transitions: --per-batch keeps all rows" in capsys.readouterr().err
+    assert main(words) == 0
+    assert "training draws a share of 0.9 of each batch from" in capsys.readouterr().out
+    read = Dataset.load(mixed)
+    assert read.mixture is not None
+    assert (len(read), read.mixture.border, read.mixture.ratio) == (5_970, 2_985, 0.9)
+    assert main(["data", "info", mixed]) == 0
+    assert "per batch: each row comes from the 2,985 rows of the first part, or with probability 0.9 from" in (
+        capsys.readouterr().out
+    )
+    assert main(["data", "convert", mixed, "--to", "d4rl", "--out", str(tmp_path / "other")]) == 2
+    assert "which D4RL's layout cannot say" in capsys.readouterr().err
+    assert main(["data", "mix", str(valve), str(valve), "--ratio", "0.9", "--out", mixed]) == 0
+    assert main(["data", "info", mixed]) == 0
+    assert "static, ratio 0.9: 298 rows of the expert data and 2,686 rows of the other data" in capsys.readouterr().out
+
+
 def test_plot_is_one_page_that_stands_alone(valve: Path, tmp_path: Path):
     assert main(["data", "plot", str(valve), "--out", str(tmp_path / "valve.html"), "--title", "<Valve>"]) == 0
     page = (tmp_path / "valve.html").read_text(encoding="utf-8")

@@ -138,8 +138,10 @@ def describe(summary: Mapping[str, Any]) -> str:
         "ends": f"{summary['terminal_share']:.1%} of the episodes terminated, the others were cut",
         "observations": ", ".join(summary["observation_names"]),
         "environment": "unknown" if environment is None else environment.get("id", environment["name"]),
-        "source": provenance.get("generator", "unknown"),
+        "source": provenance.get("generator") or provenance.get("file") or "unknown",
     }
+    if isinstance(provenance.get("mixture"), Mapping):
+        facts["mixture"] = _mixture(provenance["mixture"], summary.get("mixture"))
     width = max(map(len, facts))
     lines = [f"{name:<{width}}  {text}" for name, text in facts.items()]
     bounds = zip(summary["action_names"], summary["action_low"], summary["action_high"], strict=True)
@@ -149,6 +151,17 @@ def describe(summary: Mapping[str, Any]) -> str:
         lines += ["", "changed on the way in:"]
         lines += [f"  {finding['finding']} ({finding['count']:,}): {finding['message']}" for finding in findings]
     return "\n".join(lines)
+
+
+def _mixture(content: Mapping[str, Any], drawn: Mapping[str, Any] | None) -> str:
+    """How two data sets were mixed, and how batches are drawn from them."""
+    if drawn is None:
+        rows = " and ".join(f"{part['rows']:,} rows of the {part['role']} data" for part in content["parts"])
+        return f"{content['construction']}, ratio {content['ratio']:g}: {rows}"
+    return (
+        f"per batch: each row comes from the {drawn['border']:,} rows of the first part, or with probability "
+        f"{drawn['ratio']:g} from those after them"
+    )
 
 
 def _maze_data(options: GenerateOptions) -> "Dataset":

@@ -151,5 +151,7 @@ def checked(dataset: "Dataset", source: str) -> dict[str, Any]:
         )
     own["episode_starts"] = episodes.check_starts(source, dataset.episode_starts, rows)
     episodes.check_ends(source, own["episode_starts"], own["terminated"], own["truncated"])
+    if dataset.mixture is not None:
+        dataset.mixture.check(source, own["episode_starts"])
     own["provenance"] = validation.plain_json(source, dataset.provenance)
     return own

@@ -23,8 +23,9 @@ def to_d4rl(dataset: Dataset, path: str | os.PathLike[str]) -> None:
     text in `metadata/odaf`. Read back, the rows are the same; give `action_bounds` if they are not [-1, 1].
 
     Raises:
-        DatasetError: the file cannot be written.
+        DatasetError: the file cannot be written, or batches are mixed from two parts, which the layout cannot say.
     """
+    _refuse_mixture(dataset, "D4RL")
     with storage.replacing(path) as partial, h5py.File(partial, "w") as file:
         for name in ("observations", "actions", "rewards", "next_observations"):
             file.create_dataset(name, data=getattr(dataset, name))
@@ -49,8 +50,10 @@ def to_minari(dataset: Dataset, path: str | os.PathLike[str], identity: str | No
         identity: the data set's id, such as `tank/valve-v0`; None makes one of the folder's name.
 
     Raises:
-        DatasetError: the folder exists or cannot be written, or a stored successor differs from the next row.
+        DatasetError: the folder exists or cannot be written, a stored successor differs from the next row, or batches
+            are mixed from two parts, which the layout cannot say.
     """
+    _refuse_mixture(dataset, "Minari")
     path = Path(path)
     if path.exists():
         raise DatasetError(f"{path}: exists already; name a new folder, or remove it first")
@@ -72,6 +75,14 @@ def to_minari(dataset: Dataset, path: str | os.PathLike[str], identity: str | No
         raise DatasetError(
             f"{path}: cannot be written ({error}); choose a folder that exists and is writable"
         ) from error
+
+
+def _refuse_mixture(dataset: Dataset, layout: str) -> None:
+    if dataset.mixture is not None:
+        raise DatasetError(
+            f"convert: batches of these data are mixed from two parts, which {layout}'s layout cannot say, so its "
+            "readers would draw all rows evenly; convert the two parts, or a mixture made without --per-batch"
+        )
 
 
 def _require_shifted(dataset: Dataset) -> None:

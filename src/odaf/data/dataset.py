@@ -9,6 +9,7 @@ import numpy as np
 
 from odaf.data import assembly, splits, summary, validation
 from odaf.data.log import Log
+from odaf.data.mixture import Mixture
 from odaf.data.spec import Spec
 from odaf.errors import DatasetError
 
@@ -45,6 +46,7 @@ class Dataset:
         observation_units: one per observation column, for instance "m/s"; empty where none was given.
         action_units: one per action column.
         infos: further columns that learners do not see, by name: each [N, ...] numbers or bool, such as `qpos`.
+        mixture: how batches are mixed from two parts; None draws every row equally often. See `odaf.data.mixing`.
     """
 
     observations: np.ndarray
@@ -62,6 +64,7 @@ class Dataset:
     observation_units: tuple[str, ...] | None = None
     action_units: tuple[str, ...] | None = None
     infos: Mapping[str, np.ndarray] = field(default_factory=dict)
+    mixture: Mixture | None = None
     source: InitVar[str] = "Dataset"  # how messages name these rows
 
     def __post_init__(self, source: str):
@@ -369,6 +372,7 @@ class Dataset:
             action_bounds=(self.action_low, self.action_high),
             infos=self.infos,
             provenance=self.provenance,
+            mixture=self.mixture,
             findings=tuple(self.provenance.get("findings", ())),
         )
 
@@ -377,7 +381,7 @@ class Dataset:
         return summary.summarise(self)
 
     def select(self, chosen: Sequence[int] | np.ndarray) -> "Dataset":
-        """A dataset of the episodes `chosen`, in that order; at least one."""
+        """A dataset of the episodes `chosen`, in that order; at least one, and of a mixture some of both parts."""
         return splits.select(self, chosen)
 
     def split(self, holdout: float = 0.2, seed: int = 0) -> tuple["Dataset", "Dataset"]:

@@ -5,11 +5,12 @@ A reader finds columns and says what they mean; it neither repairs nor drops. `o
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 
+from odaf.data.mixture import Mixture
 from odaf.data.validation import Bounds, RowNumbers
 
 if TYPE_CHECKING:
@@ -52,6 +53,7 @@ class Log:
         infos: further columns to keep beside the rows, by name.
         provenance: JSON types: what the source says of itself.
         findings: what the reader had to decide, in the form of `Dataset.provenance["findings"]`.
+        mixture: how batches of these rows are mixed, known only to files of ours.
         row_numbers: [N] number of each row in the source, as messages should give it, such as `range(2, N + 2)` for a
             CSV file with a heading; None counts from 0.
     """
@@ -67,6 +69,7 @@ class Log:
     infos: Mapping[str, Column] = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)
     findings: tuple[Mapping[str, Any], ...] = ()
+    mixture: Mixture | None = None
     row_numbers: RowNumbers | None = None
 
     def __len__(self) -> int:
@@ -86,7 +89,7 @@ class Log:
         from odaf.data.dataset import Dataset
 
         arrays = {name: _whole(column) for name, column in self.columns.items() if name != "time"}
-        return Dataset.from_arrays(
+        dataset = Dataset.from_arrays(
             **arrays,
             action_bounds=self.action_bounds,
             observation_names=self.observation_names,
@@ -98,6 +101,7 @@ class Log:
             source=self.source,
             row_numbers=self.row_numbers,
         )
+        return dataset if self.mixture is None else replace(dataset, mixture=self.mixture, source=self.source)
 
 
 def _whole(column: Column) -> np.ndarray:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from odaf.data.mixture import Mixture
 from odaf.errors import DatasetError
 
 if TYPE_CHECKING:
@@ -22,8 +23,25 @@ def select(dataset: "Dataset", chosen: Sequence[int] | np.ndarray) -> "Dataset":
     rows = np.concatenate([np.arange(part.start, part.stop) for part in slices])
     lengths = np.array([part.stop - part.start for part in slices])
     columns: dict[str, Any] = {name: getattr(dataset, name)[rows] for name in COLUMNS}
+    columns["mixture"] = _mixture(dataset, slices)
     columns["infos"] = {name: values[rows] for name, values in dataset.infos.items()}
     return replace(dataset, **columns, episode_starts=np.cumsum(lengths) - lengths, source="Dataset.select")
+
+
+def _mixture(dataset: "Dataset", slices: list[slice]) -> Mixture | None:
+    """The mixture of the chosen episodes: the same ratio, with the border where their second part begins."""
+    mixture = dataset.mixture
+    if mixture is None:
+        return None
+    second = [part.start >= mixture.border for part in slices]
+    if all(second) or not any(second) or second != sorted(second):
+        fact = "their two parts are not in order" if any(second) and not all(second) else "only of one part"
+        raise DatasetError(
+            f"Dataset.select: batches of these data are mixed from two parts, and of the chosen episodes {fact}; "
+            "choose episodes of both, those of the first part first, or choose and split before the parts are mixed"
+        )
+    border = sum(part.stop - part.start for part in slices if part.start < mixture.border)
+    return Mixture(border, mixture.ratio)
 
 
 def split(dataset: "Dataset", holdout: float, seed: int) -> tuple["Dataset", "Dataset"]:

@@ -2,8 +2,9 @@
 
 Layout, version 1: root attributes `format` = "odaf-dataset", `version` = 1, `sha256`; one data set per array of
 `Dataset` under its own name; `infos/NAME` for each further column; and `metadata`, a JSON text with the names and units
-of the columns and the provenance. The checksum covers names, types, shapes and bytes of all arrays and the metadata,
-not the HDF5 packing around them.
+of the columns and the provenance. Version 2 adds `mixture` to that text; data without one are written as version 1, for
+readers that know of no mixtures and would draw all rows evenly. The checksum covers names, types, shapes and bytes of
+all arrays and the metadata, not the HDF5 packing around them.
 """
 
 import contextlib
@@ -17,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 import h5py
 import numpy as np
 
+from odaf.data.mixture import Mixture
 from odaf.errors import DatasetError
 
 if TYPE_CHECKING:
@@ -24,7 +26,7 @@ if TYPE_CHECKING:
     from odaf.data.log import Log
 
 FORMAT = "odaf-dataset"
-VERSION = 1
+VERSION = 2
 
 # name: (dtype, number of axes)
 _FIELDS = {
@@ -52,7 +54,7 @@ def write(dataset: "Dataset", path: str | os.PathLike[str]) -> None:
     # The library version sets a layout whose own bookkeeping is checksummed, so damage there is noticed too.
     with replacing(path) as partial, h5py.File(partial, "w", libver=("v110", "v110")) as file:
         file.attrs["format"] = FORMAT
-        file.attrs["version"] = VERSION
+        file.attrs["version"] = 1 if dataset.mixture is None else VERSION
         file.attrs["sha256"] = checksum(arrays, text)
         for name, array in arrays.items():
             dtype = _FIELDS[name][0] if name in _FIELDS else array.dtype.newbyteorder("<")
@@ -245,7 +247,7 @@ def _stored_checksum(file: h5py.File, source: str) -> str:
 def _verified(
     source: str, arrays: Mapping[str, np.ndarray], text: str, stored: str
 ) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Names and units of the columns, and the provenance, once lengths and checksum agree."""
+    """Names and units of the columns with the mixture, and the provenance, once lengths and checksum agree."""
     rows = len(arrays["observations"])
     for name in ("actions", "rewards", "next_observations", "terminated", "truncated"):
         if len(arrays[name]) != rows:
@@ -261,7 +263,10 @@ def _verified(
         )
     try:
         content = json.loads(text)
-        return {field: tuple(content[field]) for field in _TEXTS}, dict(content["provenance"])
+        names: dict[str, Any] = {field: tuple(content[field]) for field in _TEXTS}
+        if "mixture" in content:
+            names["mixture"] = Mixture.from_dict(content["mixture"])
+        return names, dict(content["provenance"])
     except (ValueError, KeyError, TypeError) as error:
         raise DatasetError(
             f"{source}: field 'metadata' cannot be read ({type(error).__name__}: {error}); generate the file again"
@@ -278,6 +283,8 @@ def metadata(dataset: "Dataset") -> str:
     """Column names and provenance as canonical JSON: sorted keys, no spaces."""
     content: dict[str, Any] = {field: list(getattr(dataset, field)) for field in _TEXTS}
     content["provenance"] = dataset.provenance
+    if dataset.mixture is not None:
+        content["mixture"] = dataset.mixture.to_dict()
     return json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
 
 

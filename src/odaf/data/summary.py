@@ -11,6 +11,7 @@ if TYPE_CHECKING:
 def summarise(dataset: "Dataset") -> dict[str, Any]:
     """Counts, returns, names, bounds and provenance; see `Dataset.summary`."""
     returns, lengths = dataset.episode_returns(), dataset.episode_lengths()
+    mixture = dataset.mixture
     return {
         "transitions": len(dataset),
         "episodes": dataset.num_episodes,
@@ -27,5 +28,6 @@ def summarise(dataset: "Dataset") -> dict[str, Any]:
         "infos": sorted(dataset.infos),
         "action_low": dataset.action_low.tolist(),
         "action_high": dataset.action_high.tolist(),
+        **({} if mixture is None else {"mixture": mixture.to_dict()}),
         "provenance": validation.plain_json("Dataset.summary", dataset.provenance),
     }
