@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -176,6 +177,30 @@ def test_mix_per_batch(valve: Path, tmp_path: Path, capsys: pytest.CaptureFixtur
     assert main(["data", "mix", str(valve), str(valve), "--ratio", "0.9", "--out", mixed]) == 0
     assert main(["data", "info", mixed]) == 0
     assert "static, ratio 0.9: 298 rows of the expert data and 2,686 rows of the other data" in capsys.readouterr().out
+
+
+def test_long_work_shows_a_bar_on_a_terminal(
+    valve: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+):
+    one, two = str(tmp_path / "one.h5"), str(tmp_path / "two.h5")
+    commands = (
+        (["data", "split", str(valve), "--train", one, "--holdout", two], [valve, one, two]),
+        (["data", "mix", one, two, "--ratio", "0.5", "--out", str(tmp_path / "mixed.h5")], [one, two, "mixed.h5"]),
+        (["data", "convert", one, "--to", "minari", "--out", str(tmp_path / "minari")], [one, "minari"]),
+    )
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setenv("COLUMNS", "400")
+    for words, files in commands:
+        assert main(words) == 0
+        assert capsys.readouterr().err == "", "a bar that is not on a terminal"
+        if words[1] == "convert":
+            shutil.rmtree(tmp_path / "minari")
+        with monkeypatch.context() as terminal:
+            terminal.setattr("sys.stderr.isatty", lambda: True)
+            assert main(words) == 0
+        err = capsys.readouterr().err
+        assert all(str(file) in err for file in files)
+        assert "100%" in err
 
 
 def test_plot_is_one_page_that_stands_alone(valve: Path, tmp_path: Path):

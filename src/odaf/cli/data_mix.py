@@ -6,6 +6,7 @@ from typing import Annotated
 
 import tyro
 
+from odaf.cli.bars import share_bar
 from odaf.cli.options import parse
 from odaf.cli.results import number
 from odaf.errors import ConfigError
@@ -47,12 +48,16 @@ def run(arguments: list[str]) -> None:
     from odaf.data import Dataset
     from odaf.data.mixing import mix, mix_per_batch
 
-    expert, other = Dataset.load(options.expert), Dataset.load(options.other)
+    with share_bar(f"reading {options.expert}") as progress:
+        expert = Dataset.load(options.expert, progress=progress)
+    with share_bar(f"reading {options.other}") as progress:
+        other = Dataset.load(options.other, progress=progress)
     if options.per_batch:
         mixed = mix_per_batch(expert, other, options.ratio)
     else:
         mixed = mix(expert, other, options.ratio, options.transitions)
-    mixed.save(options.out)
+    with share_bar(f"writing {options.out}") as progress:
+        mixed.save(options.out, progress)
     rows = [part["rows"] for part in mixed.provenance["mixture"]["parts"]]
     print(
         f"wrote {options.out}: {rows[0]:,} rows of {options.expert}, {rows[1]:,} of {options.other}, "

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from odaf.data import assembly, splits, summary, validation
+from odaf.data import assembly, fingerprint, splits, summary, validation
 from odaf.data.log import Log
 from odaf.data.mixture import Mixture
+from odaf.data.progress import Progress
 from odaf.data.spec import Spec
 from odaf.errors import DatasetError
 
@@ -252,6 +253,7 @@ class Dataset:
         path: str | os.PathLike[str],
         *,
         format: str | None = None,
+        progress: Progress | None = None,
         **options: Any,
     ) -> "Dataset":
         """Reads a file written by `save`, or a file or folder in one of the layouts of `odaf.data.readers`.
@@ -261,6 +263,7 @@ class Dataset:
         Args:
             path: file or folder.
             format: a name in `odaf.data.readers.FORMATS`; None tells the layout from the contents.
+            progress: told how far it has come, as (done, all there is to do).
             options: of the layout's own reader: `max_episode_steps`, `action_bounds` and `d4rl_compat` for D4RL files
                 (`odaf.data.readers.d4rl.read`), `observations=[...]` and more for tables. None counts as not given.
 
@@ -272,7 +275,7 @@ class Dataset:
 
         given = {name: value for name, value in options.items() if value is not None}
         if format is not None or not storage.is_own_file(path):
-            return readers.read(path, format=format, **given).to_dataset()
+            return readers.read(path, format=format, **given).to_dataset(progress)
         with storage.opened(path) as (file, source):
             for option, value in given.items():
                 if value is not False:
@@ -280,13 +283,18 @@ class Dataset:
                         f"{source}: {option} applies to files in the D4RL layout and others like it, this is an odaf "
                         "dataset; leave the option out"
                     )
-            return storage.read(file, source)
+            return storage.read(file, source, progress)
 
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Writes the dataset to one HDF5 file; a crash leaves either the old file or the new one, never a part."""
+    def save(self, path: str | os.PathLike[str], progress: Progress | None = None) -> None:
+        """Writes the dataset to one HDF5 file; a crash leaves either the old file or the new one, never a part.
+
+        Args:
+            path: the file.
+            progress: told how far it has come, as (done, all there is to do).
+        """
         from odaf.data import storage
 
-        storage.write(self, path)
+        storage.write(self, path, progress)
 
     def __len__(self) -> int:
         return len(self.rewards)
@@ -339,9 +347,7 @@ class Dataset:
 
     def fingerprint(self) -> str:
         """SHA-256 (hex) over names, types, shapes and bytes of all arrays and the metadata; equal data, equal print."""
-        from odaf.data import storage
-
-        return storage.checksum(storage.arrays_of(self), storage.metadata(self))
+        return fingerprint.checksum(fingerprint.arrays_of(self), fingerprint.metadata(self))
 
     def check(self) -> "Report":
         """What may trouble learning from these rows, each with row numbers and a remedy; print it to see a table.

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 import numpy as np
 
 from odaf.data.mixture import Mixture
+from odaf.data.progress import Counter, Progress
 from odaf.data.validation import Bounds, RowNumbers
 
 if TYPE_CHECKING:
@@ -80,15 +81,20 @@ class Log:
         for first in range(0, len(self), rows):
             yield first, {name: np.asarray(column[first : first + rows]) for name, column in self.columns.items()}
 
-    def to_dataset(self) -> "Dataset":
+    def to_dataset(self, progress: Progress | None = None) -> "Dataset":
         """The log as a dataset in memory.
+
+        Args:
+            progress: told how far it has come, in values of columns read.
 
         Raises:
             DatasetError: as `Dataset.from_arrays`.
         """
         from odaf.data.dataset import Dataset
 
-        arrays = {name: _whole(column) for name, column in self.columns.items() if name != "time"}
+        wanted = {name: column for name, column in self.columns.items() if name != "time"}
+        counter = Counter(sum(len(column) for column in (*wanted.values(), *self.infos.values())), progress)
+        arrays = {name: _whole(column, counter) for name, column in wanted.items()}
         dataset = Dataset.from_arrays(
             **arrays,
             action_bounds=self.action_bounds,
@@ -96,7 +102,7 @@ class Log:
             action_names=self.action_names,
             observation_units=self.observation_units,
             action_units=self.action_units,
-            infos={name: _whole(column) for name, column in self.infos.items()},
+            infos={name: _whole(column, counter) for name, column in self.infos.items()},
             provenance={**self.provenance, "format": self.format, "findings": list(self.findings)},
             source=self.source,
             row_numbers=self.row_numbers,
@@ -104,11 +110,13 @@ class Log:
         return dataset if self.mixture is None else replace(dataset, mixture=self.mixture, source=self.source)
 
 
-def _whole(column: Column) -> np.ndarray:
+def _whole(column: Column, counter: Counter) -> np.ndarray:
     """The column in memory; an array as it is, because a slice of it would look as if somebody else could change it."""
     if type(column) is np.ndarray:
+        counter.add(len(column))
         return column
     values = np.asarray(column[:])
+    counter.add(len(column))
     if values.flags.owndata:
         values.setflags(write=False)  # read for us alone: the dataset may keep it uncopied
     return values

@@ -3,9 +3,10 @@
 from collections.abc import Mapping, Sequence
 
 from odaf.data.checks.findings import Finding, Report
-from odaf.data.checks.run import Progress, check_log
+from odaf.data.checks.run import check_log
 from odaf.data.dataset import Dataset
 from odaf.data.log import Log
+from odaf.data.progress import Progress
 
 
 def adopt(log: Log, *, accept: Sequence[str] = (), progress: Progress | None = None) -> tuple[Dataset, Report]:

@@ -2,7 +2,6 @@
 
 import math
 import os
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -17,13 +16,11 @@ from odaf.data.checks.findings import Finding, Report, sort_findings
 from odaf.data.checks.stream import Check, Facts, blocks
 from odaf.data.checks.values import Columns, Finite, FlagValues
 from odaf.data.log import Log
+from odaf.data.progress import Progress
 from odaf.errors import DatasetError
 
 BLOCK_BYTES = 2**23
 """Size of a block in the source's types. A block and its temporary copies are all the checks hold of the rows."""
-
-Progress = Callable[[int, int], None]
-"""Called with (rows seen, rows in all)."""
 
 
 def check_log(log: Log, *, widths: tuple[int, int] | None = None, progress: Progress | None = None) -> Report:
@@ -35,7 +32,7 @@ def check_log(log: Log, *, widths: tuple[int, int] | None = None, progress: Prog
     Args:
         log: what a reader returned.
         widths: (obs_dim, act_dim) that an environment needs; None takes those of the one the log names, if known.
-        progress: told how far the pass has come.
+        progress: told how far the pass has come, in rows.
     """
     facts, findings = structure.examine(log, widths)
     figures: dict[str, Any] = {}
