@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -9,9 +10,7 @@ import numpy as np
 import pytest
 
 from odaf.cli import main
-from odaf.cli.readers import ReaderOptions
 from odaf.data import Dataset
-from odaf.errors import ConfigError
 
 TABLE = [
     "--observations",
@@ -65,6 +64,29 @@ def test_import_keeps_names_units_bounds_and_the_report(valve: Path):
     assert validation["verdict"].startswith("usable")
     assert [finding["check"] for finding in validation["findings"]] == ["no-successor", "unfinished-episode"]
     assert re.fullmatch(r"[0-9a-f]{64}", dataset.provenance["file_sha256"])
+
+
+def test_info_shows_what_the_import_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    table = write_table(tmp_path / "log.csv", valve=np.arange(3_000) % 4, profit=np.full(3_000, 2.5))
+    words = ["data", "import", str(table), "--out", str(tmp_path / "valve.h5"), *TABLE]
+    assert main([*words, "--accept", "actions-discrete"]) == 0
+    capsys.readouterr()
+    assert main(["data", "info", str(tmp_path / "valve.h5")]) == 0
+    changed, _, report = capsys.readouterr().out.partition("what the checks found before the import")
+    assert "dropped-without-successor (15): " in changed
+    assert "the first of them 101, 301" in changed  # the headings are row 1
+    assert "log.csv · csv" in report
+    assert re.search(r"error +actions-discrete", report)
+    assert re.search(r"warning +reward-constant +rewards +3,000 +every reward is 2.5", report)
+    assert report.endswith("errors accepted: actions-discrete\n")
+
+
+def test_info_shows_no_report_where_there_is_none(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    Dataset.from_arrays(np.zeros((4, 1)), np.zeros((4, 1)), np.zeros(4), episode=[0] * 4, action_bounds=(-1, 1)).save(
+        tmp_path / "log.h5"
+    )
+    assert main(["data", "info", str(tmp_path / "log.h5")]) == 0
+    assert "what the checks found" not in capsys.readouterr().out
 
 
 def test_a_log_with_errors_is_not_imported(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
@@ -136,6 +158,51 @@ def test_split_then_mix(valve: Path, tmp_path: Path, capsys: pytest.CaptureFixtu
     np.testing.assert_array_equal(Dataset.load(mixed).rewards[100:], Dataset.load(holdout).rewards[:900])
 
 
+def test_mix_per_batch(valve: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    mixed = str(tmp_path / "mixed.h5")
+    words = ["data", "mix", str(valve), str(valve), "--ratio", "0.9", "--per-batch", "--out", mixed]
+    assert main([*words, "--transitions", "9"]) == 2
+    assert "--transitions: --per-batch keeps all rows" in capsys.readouterr().err
+    assert main(words) == 0
+    assert "training draws a share of 0.9 of each batch from" in capsys.readouterr().out
+    read = Dataset.load(mixed)
+    assert read.mixture is not None
+    assert (len(read), read.mixture.border, read.mixture.ratio) == (5_970, 2_985, 0.9)
+    assert main(["data", "info", mixed]) == 0
+    assert "per batch: each row comes from the 2,985 rows of the first part, or with probability 0.9 from" in (
+        capsys.readouterr().out
+    )
+    assert main(["data", "convert", mixed, "--to", "d4rl", "--out", str(tmp_path / "other")]) == 2
+    assert "which D4RL's layout cannot say" in capsys.readouterr().err
+    assert main(["data", "mix", str(valve), str(valve), "--ratio", "0.9", "--out", mixed]) == 0
+    assert main(["data", "info", mixed]) == 0
+    assert "static, ratio 0.9: 298 rows of the expert data and 2,686 rows of the other data" in capsys.readouterr().out
+
+
+def test_long_work_shows_a_bar_on_a_terminal(
+    valve: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+):
+    one, two = str(tmp_path / "one.h5"), str(tmp_path / "two.h5")
+    commands = (
+        (["data", "split", str(valve), "--train", one, "--holdout", two], [valve, one, two]),
+        (["data", "mix", one, two, "--ratio", "0.5", "--out", str(tmp_path / "mixed.h5")], [one, two, "mixed.h5"]),
+        (["data", "convert", one, "--to", "minari", "--out", str(tmp_path / "minari")], [one, "minari"]),
+    )
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setenv("COLUMNS", "400")
+    for words, files in commands:
+        assert main(words) == 0
+        assert capsys.readouterr().err == "", "a bar that is not on a terminal"
+        if words[1] == "convert":
+            shutil.rmtree(tmp_path / "minari")
+        with monkeypatch.context() as terminal:
+            terminal.setattr("sys.stderr.isatty", lambda: True)
+            assert main(words) == 0
+        err = capsys.readouterr().err
+        assert all(str(file) in err for file in files)
+        assert "100%" in err
+
+
 def test_plot_is_one_page_that_stands_alone(valve: Path, tmp_path: Path):
     assert main(["data", "plot", str(valve), "--out", str(tmp_path / "valve.html"), "--title", "<Valve>"]) == 0
     page = (tmp_path / "valve.html").read_text(encoding="utf-8")
@@ -145,35 +212,3 @@ def test_plot_is_one_page_that_stands_alone(valve: Path, tmp_path: Path):
     explained = [int(share) for share in re.findall(r"component, (\d+)% of the variance", page)]
     assert len(explained) == 2
     assert 98 <= sum(explained) <= 102  # two columns: the two axes hold everything
-
-
-@pytest.mark.parametrize(
-    ("given", "expected"),
-    [
-        ({"action_bounds": (0.0, 1.0)}, {"action_bounds": (0.0, 1.0)}),
-        (
-            {"action_bounds": (0.0, 1.0, -1.0, 2.0), "actions": ("a", "b")},
-            {"action_bounds": {"a": (0.0, 1.0), "b": (-1.0, 2.0)}, "actions": ("a", "b")},
-        ),
-        ({"action_bounds": (0.0, 1.0, -1.0, 2.0)}, {"action_bounds": ((0.0, -1.0), (1.0, 2.0))}),
-        ({"units": ("headings",)}, {"units": "headings"}),
-        ({"units": ("level=m", "valve=a=b")}, {"units": {"level": "m", "valve": "a=b"}}),
-        ({"format": "csv"}, {}),
-    ],
-)
-def test_options_as_the_reader_takes_them(given: dict, expected: dict):
-    assert ReaderOptions(**given).for_reader() == expected
-
-
-@pytest.mark.parametrize(
-    "given",
-    [
-        {"action_bounds": (1.0,)},
-        {"action_bounds": (1.0, 2.0, 3.0)},
-        {"action_bounds": (0.0, 1.0, 0.0, 1.0), "actions": ("a",)},
-        {"units": ("level",)},
-    ],
-)
-def test_options_that_make_no_sense(given: dict):
-    with pytest.raises(ConfigError, match="--(action-bounds|units): "):
-        ReaderOptions(**given).for_reader()

@@ -198,6 +198,51 @@ def test_bad_input_names_source_field_rows_and_remedy(name):
         Dataset.from_arrays(**five_rows(**changes), source="pump.csv")
 
 
+# What is wrong with which row of five, and how a spreadsheet counts that row.
+NUMBERED = {
+    "nan": ({"rewards": NAN_REWARDS}, "'rewards' holds NaN or infinity in 2 of 5 rows, the first of them 3, 5; repair"),
+    "too large": ({"rewards": [1.0, 1e300, 3.0, 4.0, 5.0]}, "'rewards' is too large for single precision in row 3;"),
+    "odd flag": ({"terminated": [0, 0, 2, 0, 1]}, "'terminated' must hold only true and false.*row 4: "),
+    "beyond": (
+        {"actions": np.array([[0.0], [0.5], [-0.5], [1.5], [-1.0]])},
+        "'actions' leaves its bounds in row 5: column 0 is 1.5 in row 5, allowed",
+    ),
+    "id again": ({"episode": [7, 7, 7, 8, 7]}, "id 7 appears in 2 separate blocks, which start in rows 2, 6; sort"),
+    "end inside id": ({"episode": [7, 7, 7, 7, 7]}, "'terminated' marks an end inside an episode id, row 4;"),
+    # A column of another length is no part of the numbered rows, and is counted from 0.
+    "longer": ({"rewards": np.full(7, np.nan)}, "NaN or infinity in 7 of 7 rows, the first of them 0, 1, 2, 3, 4;"),
+    "numbers": ({"row_numbers": range(4)}, "row_numbers names 4 rows, there are 5"),
+}
+
+
+@pytest.mark.parametrize("name", NUMBERED)
+def test_messages_number_rows_as_the_source_does(name):
+    changes, message = NUMBERED[name]
+    with pytest.raises(DatasetError, match=message):
+        Dataset.from_arrays(**{**five_rows(), "row_numbers": range(2, 7), **changes})
+
+
+def test_findings_number_rows_as_the_source_does():
+    found = {}
+    for changes in (
+        {"next_observations": None},
+        {"truncated": np.zeros(5, bool)},
+        {"truncated": np.array([False, False, True, False, True])},
+        {"next_observations": np.zeros((5, 2))},
+        {"action_bounds": (-1.0, 0.9995)},
+    ):
+        dataset = Dataset.from_arrays(**five_rows(**changes), row_numbers=np.array([40, 50, 60, 70, 80]))
+        found |= {entry["finding"]: entry["message"].rpartition("row")[2] for entry in dataset.provenance["findings"]}
+    assert found == {
+        "terminal-successor-unknown": " 60",
+        "dropped-without-successor": " 80",
+        "unfinished-episodes": " 80",
+        "terminated-and-truncated": " 60",
+        "successor-differs-from-next-row": "s, the first of them 40, 50, 70",
+        "actions-clipped": " 70",
+    }
+
+
 INCONSISTENT = {
     "not from zero": ({"episode_starts": np.array([1, 3])}, "'episode_starts' begins with 1"),
     "falling": ({"episode_starts": np.array([0, 3, 3])}, "'episode_starts' must ascend"),

@@ -1,10 +1,15 @@
 """Mixtures of two data sets: which rows they take, and that nothing is torn where the parts meet."""
 
+import dataclasses
+
+import h5py
 import numpy as np
 import pytest
 
-from odaf.data import Dataset
-from odaf.data.mixing import first_rows, mix
+from odaf.data import Dataset, convert
+from odaf.data.checks import open_log
+from odaf.data.mixing import first_rows, mix, mix_per_batch
+from odaf.data.mixture import Mixture
 from odaf.errors import DatasetError
 
 
@@ -114,3 +119,81 @@ def test_first_rows_of_a_dataset():
     assert part.truncated[14]
     with pytest.raises(DatasetError, match="101 rows are wanted of 100"):
         first_rows(walk(1), 101)
+
+
+def test_per_batch_keeps_all_rows_and_says_how_to_draw_them():
+    expert, other = walk(1), walk(2, episodes=4)
+    mixed = mix_per_batch(expert, other, 0.9)
+    assert mixed.mixture == Mixture(border=100, ratio=0.9)
+    assert (len(mixed), mixed.num_episodes) == (140, 14)
+    for name in ("observations", "actions", "rewards", "next_observations", "terminated", "truncated"):
+        np.testing.assert_array_equal(
+            getattr(mixed, name), np.concatenate([getattr(expert, name), getattr(other, name)])
+        )
+    assert mixed.provenance["mixture"]["construction"] == "per-batch"
+    assert mixed.environment == expert.environment
+    assert mix(expert, other, 0.5, transitions=40).mixture is None
+
+
+def test_the_mixture_is_stored_and_part_of_the_fingerprint(tmp_path):
+    mixed = mix_per_batch(walk(1), walk(2), 0.9)
+    mixed.save(tmp_path / "mixed.h5")
+    read = Dataset.load(tmp_path / "mixed.h5")
+    assert read.mixture == mixed.mixture
+    assert read.fingerprint() == mixed.fingerprint()
+    assert read.summary()["mixture"] == {"border": 100, "ratio": 0.9}
+    plain, other = (dataclasses.replace(mixed, mixture=mixture) for mixture in (None, Mixture(100, 0.8)))
+    assert len({data.fingerprint() for data in (mixed, plain, other)}) == 3
+    assert "mixture" not in plain.summary()
+    assert open_log(tmp_path / "mixed.h5").to_dataset().mixture == mixed.mixture
+
+
+def test_only_a_file_with_a_mixture_needs_the_newer_format(tmp_path):
+    mixed = mix_per_batch(walk(1), walk(2), 0.9)
+    for data, version in ((mixed, 2), (dataclasses.replace(mixed, mixture=None), 1)):
+        data.save(tmp_path / "data.h5")
+        with h5py.File(tmp_path / "data.h5") as file:
+            assert file.attrs["version"] == version
+
+
+def test_a_split_keeps_both_parts_apart():
+    mixed = mix_per_batch(walk(1), walk(2), 0.9)
+    train, holdout = mixed.split(0.25, seed=0)
+    assert len(train) + len(holdout) == 200
+    for part in (train, holdout):
+        assert part.mixture is not None and part.mixture.ratio == 0.9
+        border = part.mixture.border
+        assert (part.observations[:border, 0] < 150).all()  # the walks of the two seeds begin near 100 and 200
+        assert (part.observations[border:, 0] > 150).all()
+
+
+@pytest.mark.parametrize(
+    ("chosen", "fact"), [([0, 1], "only of one part"), ([12], "only of"), ([3, 12, 4], "in order")]
+)
+def test_episodes_that_make_no_mixture(chosen, fact):
+    with pytest.raises(DatasetError, match=f"mixed from two parts.*{fact}.*before the parts are mixed"):
+        mix_per_batch(walk(1), walk(2), 0.9).select(chosen)
+
+
+def test_what_a_mixture_cannot_become(tmp_path):
+    mixed = mix_per_batch(walk(1), walk(2), 0.9)
+    for write in (convert.to_d4rl, convert.to_minari):
+        with pytest.raises(DatasetError, match="layout cannot say"):
+            write(mixed, tmp_path / "other")
+        assert not (tmp_path / "other").exists()
+    for again in (mix, mix_per_batch):
+        with pytest.raises(DatasetError, match="mix: the data are a mixture themselves"):
+            again(mixed, walk(2), 0.5)
+    with pytest.raises(DatasetError, match="first_rows: the data are a mixture"):
+        first_rows(mixed, 20)
+
+
+@pytest.mark.parametrize("border", [0, 5, 140, -100])
+def test_a_border_inside_an_episode(border):
+    with pytest.raises(DatasetError, match="no second part begins in row"):
+        dataclasses.replace(mix_per_batch(walk(1), walk(2, episodes=4), 0.9), mixture=Mixture(border, 0.5))
+
+
+def test_a_per_batch_ratio_that_is_none():
+    with pytest.raises(DatasetError, match="ratio is 1.0; give the share"):
+        mix_per_batch(walk(1), walk(2), 1.0)

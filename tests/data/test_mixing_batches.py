@@ -6,9 +6,8 @@ import jax.random as jr
 import numpy as np
 import pytest
 
-from odaf.data.mixing_batches import joined_columns, sample_mixed
+from odaf.data.mixing_batches import sample_mixed
 from odaf.data.transitions import Transitions
-from odaf.errors import DatasetError
 
 
 def rows(values, width: int = 3) -> Transitions:
@@ -18,14 +17,13 @@ def rows(values, width: int = 3) -> Transitions:
     return Transitions(matrix, matrix[:, :2], column, matrix, jnp.zeros_like(column))
 
 
-EXPERT, OTHER = rows(np.arange(40)), rows(np.arange(1000, 1010))
+BORDER = 40
+COLUMNS = rows([*range(BORDER), *range(1000, 1010)])
 
 
 @pytest.mark.parametrize("ratio", [0.0, 0.3, 0.9, 1.0])
 def test_a_batch_holds_the_poorer_part_in_the_asked_share(ratio):
-    columns, border = joined_columns(EXPERT, OTHER)
-    assert border == 40
-    batch = jax.jit(lambda key: sample_mixed(columns, border, ratio, key, 20_000))(jr.key(0))
+    batch = jax.jit(lambda key: sample_mixed(COLUMNS, BORDER, ratio, key, 20_000))(jr.key(0))
     poorer = np.asarray(batch.rewards) >= 1000
     # Five standard errors of a share over 20,000 draws: a false alarm in two million keys.
     assert abs(poorer.mean() - ratio) <= 5 * np.sqrt(ratio * (1 - ratio) / 20_000)
@@ -37,12 +35,6 @@ def test_a_batch_holds_the_poorer_part_in_the_asked_share(ratio):
 
 
 def test_one_key_draws_the_same_rows_and_another_does_not():
-    columns, border = joined_columns(EXPERT, OTHER)
-    first, again, other = (sample_mixed(columns, border, 0.5, jr.key(seed), 64).rewards for seed in (1, 1, 2))
+    first, again, other = (sample_mixed(COLUMNS, BORDER, 0.5, jr.key(seed), 64).rewards for seed in (1, 1, 2))
     np.testing.assert_array_equal(first, again)
     assert (np.asarray(first) != np.asarray(other)).any()
-
-
-def test_parts_of_different_width_do_not_mix():
-    with pytest.raises(DatasetError, match="observations have 3 columns in one data set, 4 in the other"):
-        joined_columns(EXPERT, rows(np.arange(5), width=4))

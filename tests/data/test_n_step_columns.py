@@ -1,9 +1,13 @@
 """n-step rows of the device columns, against a loop over every episode."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
-from odaf.data import Dataset, Normaliser, device_columns
+from odaf.data import Dataset, Normaliser, device_columns, training_columns
+from odaf.data.mixing_batches import MixedColumns
+from odaf.data.mixture import Mixture
 from odaf.errors import DatasetError
 
 DISCOUNT = 0.9
@@ -63,3 +67,19 @@ def test_one_step_keeps_every_row_and_every_bit_of_the_rewards() -> None:
 def test_more_steps_than_any_episode_has_is_refused() -> None:
     with pytest.raises(DatasetError, match="return_steps=5: no episode has so many steps"):
         _columns(_log(False), 5)
+
+
+@pytest.mark.parametrize(("steps", "border"), [(1, 4), (2, 3), (3, 2)])
+def test_the_border_of_a_mixture_moves_with_the_rows_that_are_left_out(steps: int, border: int) -> None:
+    mixed = dataclasses.replace(_log(False), mixture=Mixture(4, 0.5))
+    columns = training_columns(mixed, Normaliser.identity(1), steps, DISCOUNT)
+    assert isinstance(columns, MixedColumns)
+    assert (columns.border, columns.ratio) == (border, 0.5)
+    first = np.asarray(columns.columns.observations)[:, 0] < 4
+    assert first.tolist() == [True] * border + [False] * (len(first) - border)
+
+
+def test_a_part_of_a_mixture_without_so_many_steps_is_refused() -> None:
+    mixed = dataclasses.replace(_log(False), mixture=Mixture(4, 0.5))  # its second part is three steps long
+    with pytest.raises(DatasetError, match="return_steps=4: no episode of the second part of the mixture"):
+        training_columns(mixed, Normaliser.identity(1), 4, DISCOUNT)

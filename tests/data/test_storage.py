@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from odaf.data import Dataset, storage
+from odaf.data import Dataset, convert, fingerprint, storage
 from odaf.errors import DatasetError
 
 
@@ -199,7 +199,7 @@ def flip_one_bit(file):
 EDITS = {
     "another format": (set_attribute("format", "odaf-run"), "says its format is 'odaf-run', expected 'odaf-dataset'"),
     "format of no type": (set_attribute("format", 3), "says its format is .*3.*, expected 'odaf-dataset'"),
-    "newer": (set_attribute("version", 2), "written in version 2 of the format, this odaf reads up to 1; upgrade odaf"),
+    "newer": (set_attribute("version", 3), "written in version 3 of the format, this odaf reads up to 2; upgrade odaf"),
     "version text": (set_attribute("version", "one"), "attribute 'version' is 'one', expected a whole number"),
     "no checksum": (lambda file: file.attrs.__delitem__("sha256"), "attribute 'sha256' is missing"),
     "missing": (lambda file: file.__delitem__("rewards"), r"field 'rewards' is missing; the file has \['action_high'"),
@@ -231,7 +231,7 @@ def test_edited_file_names_what_is_wrong(path, name):
 def reseal(file):
     """Gives an edited file a checksum that fits, as another program that writes the format would."""
     arrays = {name: file[name][()] for name in file if name != "metadata"}
-    file.attrs["sha256"] = storage.checksum(arrays, file["metadata"][()].decode())
+    file.attrs["sha256"] = fingerprint.checksum(arrays, file["metadata"][()].decode())
 
 
 SEALED = {
@@ -317,3 +317,46 @@ def test_large_provenance_fits(tmp_path):
     dataset = small(provenance={"notes": ["x" * 1000] * 200})
     dataset.save(tmp_path / "long.h5")
     assert Dataset.load(tmp_path / "long.h5").provenance == dataset.provenance
+
+
+def steps(seen):
+    """The calls of a listener, checked for going only forward and ending at the end."""
+    done, totals = [entry[0] for entry in seen], {entry[1] for entry in seen}
+    assert done == sorted(done) and len(totals) == 1 and done[-1] == totals.pop()
+    return len(done)
+
+
+def test_writing_and_reading_say_how_far_they_have_come(tmp_path, monkeypatch):
+    monkeypatch.setattr(fingerprint, "PIECE", 64)  # bytes, so that these few rows are many pieces
+    dataset = Dataset.from_arrays(
+        np.arange(120.0).reshape(40, 3), np.zeros((40, 1)), np.zeros(40), episode=np.zeros(40), action_bounds=(-1, 1),
+        infos={"wide": np.arange(160).reshape(40, 4), "none": np.zeros((40, 0))},
+    )  # fmt: skip
+    print_whole = dataset.fingerprint()
+    written, read = [], []
+    dataset.save(tmp_path / "log.h5", lambda *entry: written.append(entry))
+    again = Dataset.load(tmp_path / "log.h5", progress=lambda *entry: read.append(entry))
+    assert again.fingerprint() == print_whole
+    np.testing.assert_array_equal(again.infos["wide"], dataset.infos["wide"])
+    assert steps(written) > 40 and steps(read) > 20
+    monkeypatch.undo()
+    assert again.fingerprint() == print_whole, "the size of the pieces is no part of what is summed"
+
+
+def test_other_layouts_say_how_far_they_have_come(tmp_path):
+    dataset = Dataset.from_arrays(
+        np.zeros((9, 1)),
+        np.zeros((9, 1)),
+        np.zeros(9),
+        np.zeros((9, 1)),
+        episode=np.arange(9) // 3,
+        action_bounds=(-1, 1),
+    )
+    seen = {name: [] for name in ("to d4rl", "from d4rl", "to minari", "from minari")}
+    convert.to_d4rl(dataset, tmp_path / "d4rl", lambda *entry: seen["to d4rl"].append(entry))
+    convert.to_minari(dataset, tmp_path / "minari", progress=lambda *entry: seen["to minari"].append(entry))
+    for name in ("d4rl", "minari"):
+        Dataset.load(tmp_path / name, progress=lambda *entry, name=name: seen[f"from {name}"].append(entry))
+    assert {name: steps(entries) for name, entries in seen.items()} == {
+        "to d4rl": 6, "from d4rl": 7, "to minari": 3, "from minari": 7
+    }  # fmt: skip

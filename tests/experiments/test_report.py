@@ -86,6 +86,33 @@ def test_page_needs_nothing_but_itself(comparison):
     assert all(url.startswith("#") for url in urls)
 
 
+def test_normalised_scores_stand_beside_the_raw_return_with_the_environment_version(tmp_path, run_writer):
+    """Hopper's constants, -20.272305 and 3234.3, are written out here again, from the public benchmark."""
+    run = run_writer(tmp_path / "hop", level=1500.0)
+    data, config = (json.loads((run / name).read_text()) for name in ("data.json", "config.json"))
+    data["environment"] = {"name": "gymnasium", "id": "Hopper-v4", "kwargs": {}}
+    config["evaluate"]["environment"] = {"name": "gymnasium", "id": "Hopper-v5", "kwargs": {}}
+    (run / "data.json").write_text(json.dumps(data))
+    (run / "config.json").write_text(json.dumps(config))
+    page = build([run], tmp_path / "report.html")
+
+    def score(raw):
+        return f"{100 * (raw + 20.272305) / (3234.3 + 20.272305):.1f}"
+
+    means = [evaluation(run, seed)["mean_return"] for seed in (0, 1)]
+    row = page.row("odaf hop")
+    assert row[1:3] == [f"{np.mean(means):,.1f}", f"{score(np.mean(means))} Hopper-v5"]
+    assert page.row("the log, best")[1:3] == ["72.6", f"{score(72.63)} Hopper-v4"]  # the log's own version
+    seeds = [row for row in page.rows if row[:1] == ["odaf"] and row[1] in ("0", "1")]
+    assert [" ".join(row[3].split()) for row in seeds] == [f"{score(mean)} Hopper-v5" for mean in means]
+    assert f"normalised score {score(np.mean(means))} in Hopper-v5" in page.text
+
+
+def test_no_normalised_score_without_reference_returns(comparison):
+    _, page = comparison
+    assert "normalised" not in page.text.replace("normalised units", "")
+
+
 def test_references_inside_the_page_have_one_target_each(comparison):
     _, page = comparison
     targets = [value for _, name, value in page.attributes if name == "id"]

@@ -11,7 +11,7 @@ import tyro
 
 from odaf.cli.interrupts import repeatable
 from odaf.cli.options import parse
-from odaf.cli.results import number, table
+from odaf.cli.results import number, print_report, table
 from odaf.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -68,10 +68,13 @@ class GenerateOptions:
 
 @dataclass(frozen=True)
 class InfoOptions:
-    """Say what a data set holds: sizes, returns, bounds, where it came from, what was changed on the way in."""
+    """Say what a data set holds: sizes, returns, bounds, where it came from, what was changed on the way in.
+
+    For a file that `odaf data import` wrote also what the checks found then, and which errors were accepted.
+    """
 
     file: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FILE")]
-    """A file of `odaf data generate`, or one in the D4RL layout."""
+    """A file of ours, or one in any layout that says itself what its columns mean."""
     json: bool = False
     """Print JSON."""
 
@@ -106,7 +109,19 @@ def info(arguments: list[str]) -> None:
 
     dataset = Dataset.load(options.file)
     summary = {"file": str(options.file), "sha256": dataset.fingerprint(), **dataset.summary()}
-    print(json.dumps(summary, indent=2) if options.json else describe(summary))
+    if options.json:
+        print(json.dumps(summary, indent=2))
+        return
+    print(describe(summary))
+
+    from odaf.data.checks import stored_report
+
+    if (stored := stored_report(dataset)) is not None:
+        report, accepted = stored
+        print("\nwhat the checks found before the import, rows as in the source:")
+        print_report(report)
+        if accepted:
+            print(f"errors accepted: {', '.join(accepted)}")
 
 
 def describe(summary: Mapping[str, Any]) -> str:
@@ -123,8 +138,10 @@ def describe(summary: Mapping[str, Any]) -> str:
         "ends": f"{summary['terminal_share']:.1%} of the episodes terminated, the others were cut",
         "observations": ", ".join(summary["observation_names"]),
         "environment": "unknown" if environment is None else environment.get("id", environment["name"]),
-        "source": provenance.get("generator", "unknown"),
+        "source": provenance.get("generator") or provenance.get("file") or "unknown",
     }
+    if isinstance(provenance.get("mixture"), Mapping):
+        facts["mixture"] = _mixture(provenance["mixture"], summary.get("mixture"))
     width = max(map(len, facts))
     lines = [f"{name:<{width}}  {text}" for name, text in facts.items()]
     bounds = zip(summary["action_names"], summary["action_low"], summary["action_high"], strict=True)
@@ -134,6 +151,17 @@ def describe(summary: Mapping[str, Any]) -> str:
         lines += ["", "changed on the way in:"]
         lines += [f"  {finding['finding']} ({finding['count']:,}): {finding['message']}" for finding in findings]
     return "\n".join(lines)
+
+
+def _mixture(content: Mapping[str, Any], drawn: Mapping[str, Any] | None) -> str:
+    """How two data sets were mixed, and how batches are drawn from them."""
+    if drawn is None:
+        rows = " and ".join(f"{part['rows']:,} rows of the {part['role']} data" for part in content["parts"])
+        return f"{content['construction']}, ratio {content['ratio']:g}: {rows}"
+    return (
+        f"per batch: each row comes from the {drawn['border']:,} rows of the first part, or with probability "
+        f"{drawn['ratio']:g} from those after them"
+    )
 
 
 def _maze_data(options: GenerateOptions) -> "Dataset":

@@ -7,10 +7,10 @@ from typing import Annotated
 
 import tyro
 
+from odaf.cli.bars import rows_bar
 from odaf.cli.options import parse
 from odaf.cli.readers import ReaderOptions, require_file
 from odaf.cli.results import print_report
-from odaf.cli.rows import rows_bar
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 
 import tyro
 
+from odaf.cli.bars import share_bar
 from odaf.cli.options import parse
 
 
@@ -32,9 +33,11 @@ def run(arguments: list[str]) -> None:
 
     from odaf.data import Dataset, convert
 
-    dataset = Dataset.load(options.file)
-    if options.to == "d4rl":
-        convert.to_d4rl(dataset, options.out)
-    else:
-        convert.to_minari(dataset, options.out, options.id)
+    with share_bar(f"reading {options.file}") as progress:
+        dataset = Dataset.load(options.file, progress=progress)
+    with share_bar(f"writing {options.out}") as progress:
+        if options.to == "d4rl":
+            convert.to_d4rl(dataset, options.out, progress)
+        else:
+            convert.to_minari(dataset, options.out, options.id, progress)
     print(f"wrote {options.out}: {len(dataset):,} transitions in the layout of {options.to}")

@@ -6,6 +6,7 @@ from typing import Annotated
 
 import tyro
 
+from odaf.cli.bars import share_bar
 from odaf.cli.options import parse
 
 
@@ -31,7 +32,10 @@ def run(arguments: list[str]) -> None:
 
     from odaf.data import Dataset
 
-    parts = Dataset.load(options.file).split(options.share, options.seed)
+    with share_bar(f"reading {options.file}") as progress:
+        dataset = Dataset.load(options.file, progress=progress)
+    parts = dataset.split(options.share, options.seed)
     for path, part in zip((options.train, options.holdout), parts, strict=True):
-        part.save(path)
+        with share_bar(f"writing {path}") as progress:
+            part.save(path, progress)
         print(f"wrote {path}: {part.num_episodes:,} episodes, {len(part):,} transitions")

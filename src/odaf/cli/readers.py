@@ -23,8 +23,12 @@ class ReaderOptions:
     """Columns of what was done."""
     reward: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
     """Column of what the action of the same row earned. For OGBench: zero, or an .npy file."""
+    constant_reward: Annotated[float | None, tyro.conf.arg(metavar="NUMBER")] = None
+    """For a table without rewards, in place of --reward: every row earned this. Enough for cloning."""
     episode: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
     """Column of ids, equal for the rows of one episode."""
+    single_episode: bool = False
+    """In place of --episode: all rows of the table are one episode."""
     terminated: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
     """Column that says where the task ended by itself."""
     truncated: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
@@ -43,15 +47,39 @@ class ReaderOptions:
     """Sort the rows of a table by these columns first."""
     on_gap: Literal["break", "error"] | None = None
     """Where rows are missing by the time column: begin a new episode (the default), or refuse the file."""
+    time_step: Annotated[float | None, tyro.conf.arg(metavar="NUMBER")] = None
+    """Usual time between two rows, in seconds or the unit of the time column; without it, each episode's median."""
     time_format: Annotated[str | None, tyro.conf.arg(metavar="TEXT")] = None
     """How dates are written where not by ISO 8601, such as "%d.%m.%Y %H:%M:%S"."""
+    on_missing: Literal["error", "nan"] | None = None
+    """An empty cell among numbers: refuse the table (the default), or keep it as NaN, so that a check counts it."""
+    separator: Annotated[str | None, tyro.conf.arg(metavar="CHARACTER")] = None
+    """What parts the cells of a CSV file, such as ";" or the word tab; without it, the headings tell."""
+    decimal_comma: bool = False
+    """The CSV file writes 1,5 for one and a half."""
+    encoding: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
+    """How the CSV file writes letters, such as latin-1 or utf-16; without it, utf-8."""
+    skip_rows: Annotated[int | None, tyro.conf.arg(metavar="INT")] = None
+    """Lines in front of the CSV file's headings; messages count them, as a spreadsheet does."""
     max_episode_steps: Annotated[int | None, tyro.conf.arg(metavar="INT")] = None
     """The environment's time limit, for D4RL files without time-outs."""
 
     def for_reader(self) -> dict[str, Any]:
         """Those options that were given, as `odaf.data.readers.read` takes them."""
         given = {field.name: getattr(self, field.name) for field in fields(ReaderOptions) if field.name != "format"}
-        given = {name: value for name, value in given.items() if value is not None}
+        given = {name: value for name, value in given.items() if value is not None and value is not False}
+        for column, instead in (("reward", "constant_reward"), ("episode", "single_episode")):
+            if column in given and instead in given:
+                raise ConfigError(
+                    f"--{column}: --{instead.replace('_', '-')} was given too; it is for tables that have no such "
+                    "column: leave out one of the two"
+                )
+        if "constant_reward" in given:
+            given["reward"] = given.pop("constant_reward")
+        if given.pop("single_episode", False):
+            given["episode"] = 0
+        if given.get("separator") in ("tab", "\\t"):
+            given["separator"] = "\t"
         if "action_bounds" in given:
             given["action_bounds"] = _pairs(given["action_bounds"], self.actions)
         if "units" in given:

@@ -9,35 +9,45 @@ from typing import Any
 import h5py
 import numpy as np
 
-from odaf.data import storage
+from odaf.data import fingerprint, storage
 from odaf.data.dataset import Dataset
+from odaf.data.progress import Counter, Progress
 from odaf.errors import DatasetError
 
 MINARI_VERSION = "0.5.0"
 
 
-def to_d4rl(dataset: Dataset, path: str | os.PathLike[str]) -> None:
+def to_d4rl(dataset: Dataset, path: str | os.PathLike[str], progress: Progress | None = None) -> None:
     """Writes an HDF5 file in the layout of D4RL, version 2: flat arrays with `terminals` and `timeouts`.
 
     Infos go under `infos`; names, units, bounds and provenance, which the layout has no place for, are kept as a JSON
     text in `metadata/odaf`. Read back, the rows are the same; give `action_bounds` if they are not [-1, 1].
 
+    Args:
+        dataset: the data.
+        path: the file.
+        progress: told how far it has come, in fields written.
+
     Raises:
-        DatasetError: the file cannot be written.
+        DatasetError: the file cannot be written, or batches are mixed from two parts, which the layout cannot say.
     """
+    _refuse_mixture(dataset, "D4RL")
     with storage.replacing(path) as partial, h5py.File(partial, "w") as file:
-        for name in ("observations", "actions", "rewards", "next_observations"):
-            file.create_dataset(name, data=getattr(dataset, name))
-        file.create_dataset("terminals", data=dataset.terminated)
-        file.create_dataset("timeouts", data=dataset.truncated)
-        for name, values in dataset.infos.items():
-            file.create_dataset(f"infos/{name}", data=values)
-        content = json.loads(storage.metadata(dataset))
+        fields = {name: getattr(dataset, name) for name in ("observations", "actions", "rewards", "next_observations")}
+        fields |= {"terminals": dataset.terminated, "timeouts": dataset.truncated}
+        fields |= {f"infos/{name}": values for name, values in dataset.infos.items()}
+        counter = Counter(len(fields), progress)
+        for name, values in fields.items():
+            file.create_dataset(name, data=values)
+            counter.add(1)
+        content = json.loads(fingerprint.metadata(dataset))
         content |= {"action_low": dataset.action_low.tolist(), "action_high": dataset.action_high.tolist()}
         file.create_dataset("metadata/odaf", data=json.dumps(content, sort_keys=True))
 
 
-def to_minari(dataset: Dataset, path: str | os.PathLike[str], identity: str | None = None) -> None:
+def to_minari(
+    dataset: Dataset, path: str | os.PathLike[str], identity: str | None = None, progress: Progress | None = None
+) -> None:
     """Writes a folder in the layout of Minari 0.5 with HDF5 data: one group per episode.
 
     An episode of T steps has T + 1 observations there, so each successor has to be the observation of the next row.
@@ -47,10 +57,13 @@ def to_minari(dataset: Dataset, path: str | os.PathLike[str], identity: str | No
         dataset: the data.
         path: folder to make; it must not exist.
         identity: the data set's id, such as `tank/valve-v0`; None makes one of the folder's name.
+        progress: told how far it has come, in episodes written.
 
     Raises:
-        DatasetError: the folder exists or cannot be written, or a stored successor differs from the next row.
+        DatasetError: the folder exists or cannot be written, a stored successor differs from the next row, or batches
+            are mixed from two parts, which the layout cannot say.
     """
+    _refuse_mixture(dataset, "Minari")
     path = Path(path)
     if path.exists():
         raise DatasetError(f"{path}: exists already; name a new folder, or remove it first")
@@ -60,8 +73,10 @@ def to_minari(dataset: Dataset, path: str | os.PathLike[str], identity: str | No
         try:
             (partial / "data").mkdir(parents=True)
             with h5py.File(partial / "data" / "main_data.hdf5", "w", track_order=True) as file:
+                counter = Counter(dataset.num_episodes, progress)
                 for index in range(dataset.num_episodes):
                     _write_episode(dataset, index, file.create_group(f"episode_{index}"))
+                    counter.add(1)
             size = (partial / "data" / "main_data.hdf5").stat().st_size
             text = json.dumps(_minari_metadata(dataset, identity or f"{path.name}-v0", size))
             (partial / "data" / "metadata.json").write_text(text, encoding="utf-8")
@@ -72,6 +87,14 @@ def to_minari(dataset: Dataset, path: str | os.PathLike[str], identity: str | No
         raise DatasetError(
             f"{path}: cannot be written ({error}); choose a folder that exists and is writable"
         ) from error
+
+
+def _refuse_mixture(dataset: Dataset, layout: str) -> None:
+    if dataset.mixture is not None:
+        raise DatasetError(
+            f"convert: batches of these data are mixed from two parts, which {layout}'s layout cannot say, so its "
+            "readers would draw all rows evenly; convert the two parts, or a mixture made without --per-batch"
+        )
 
 
 def _require_shifted(dataset: Dataset) -> None:
@@ -111,7 +134,7 @@ def _minari_metadata(dataset: Dataset, identity: str, size: int) -> dict[str, An
         "dataset_id": identity,
         "minari_version": MINARI_VERSION,
         "dataset_size": round(size / 1e6, 1),
-        "odaf": storage.metadata(dataset),
+        "odaf": fingerprint.metadata(dataset),
     }
     spec = _environment_spec(dataset.environment)
     return metadata if spec is None else metadata | {"env_spec": spec}

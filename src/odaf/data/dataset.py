@@ -1,6 +1,5 @@
 """Logged experience: immutable columns, an episode index, and where it all came from."""
 
-import json
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import InitVar, dataclass, field, replace
@@ -8,8 +7,10 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from odaf.data import episodes, validation
+from odaf.data import assembly, fingerprint, splits, summary, validation
 from odaf.data.log import Log
+from odaf.data.mixture import Mixture
+from odaf.data.progress import Progress
 from odaf.data.spec import Spec
 from odaf.errors import DatasetError
 
@@ -17,8 +18,6 @@ if TYPE_CHECKING:
     from odaf.data.checks import Report
 
 COLUMNS = ("observations", "actions", "rewards", "next_observations", "terminated", "truncated")
-ARRAYS = (*COLUMNS, "episode_starts", "action_low", "action_high")
-_INFO = "infos/"
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +47,7 @@ class Dataset:
         observation_units: one per observation column, for instance "m/s"; empty where none was given.
         action_units: one per action column.
         infos: further columns that learners do not see, by name: each [N, ...] numbers or bool, such as `qpos`.
+        mixture: how batches are mixed from two parts; None draws every row equally often. See `odaf.data.mixing`.
     """
 
     observations: np.ndarray
@@ -65,38 +65,11 @@ class Dataset:
     observation_units: tuple[str, ...] | None = None
     action_units: tuple[str, ...] | None = None
     infos: Mapping[str, np.ndarray] = field(default_factory=dict)
+    mixture: Mixture | None = None
     source: InitVar[str] = "Dataset"  # how messages name these rows
 
     def __post_init__(self, source: str):
-        own: dict[str, Any] = {}
-        for name in ("observations", "actions", "next_observations"):
-            own[name] = validation.matrix(source, name, getattr(self, name))
-        own["rewards"] = validation.vector(source, "rewards", self.rewards)
-        for name in ("terminated", "truncated"):
-            own[name] = validation.flags(source, name, getattr(self, name))
-        rows = validation.same_length(source, own)
-        validation.same_width(source, own["observations"], own["next_observations"])
-        obs_dim, act_dim = own["observations"].shape[1], own["actions"].shape[1]
-        own["observation_names"] = validation.names(
-            source, "observation_names", self.observation_names, obs_dim, "observation"
-        )
-        own["action_names"] = validation.names(source, "action_names", self.action_names, act_dim, "action")
-        own["observation_units"] = validation.units(source, "observation_units", self.observation_units, obs_dim)
-        own["action_units"] = validation.units(source, "action_units", self.action_units, act_dim)
-        own["infos"] = validation.infos(source, self.infos, rows)
-        bounds = validation.action_bounds(
-            source, own["actions"], own["action_names"], (self.action_low, self.action_high)
-        )
-        own["action_low"], own["action_high"] = bounds[0].copy(), bounds[1].copy()
-        strays = validation.outside_bounds(source, own["actions"], bounds[0], bounds[1])
-        if strays.any():
-            raise DatasetError(
-                f"{source}: field 'actions' leaves its bounds in {validation.name_rows(strays)}; "
-                "build the dataset with Dataset.from_arrays, which clips rounding errors and records it"
-            )
-        own["episode_starts"] = episodes.check_starts(source, self.episode_starts, rows)
-        episodes.check_ends(source, own["episode_starts"], own["terminated"], own["truncated"])
-        own["provenance"] = _plain_json(source, self.provenance)
+        own = assembly.checked(self, source)
         for value in (*own.values(), *own["infos"].values()):
             if isinstance(value, np.ndarray):
                 value.setflags(write=False)
@@ -122,6 +95,7 @@ class Dataset:
         infos: Mapping[str, Any] | None = None,
         provenance: Mapping[str, Any] | None = None,
         source: str = "Dataset.from_arrays",
+        row_numbers: validation.RowNumbers | None = None,
     ) -> "Dataset":
         """Builds a dataset from columns in time order; the caller's arrays are copied, never changed.
 
@@ -146,75 +120,35 @@ class Dataset:
             infos: further columns to keep beside the rows, {name: [N, ...]}; learners do not see them.
             provenance: JSON types, stored with the data.
             source: how error messages name these rows, for instance a file name.
+            row_numbers: [N] whole numbers that messages and findings give the rows, such as `range(2, N + 2)` for those
+                of a spreadsheet under its headings; None counts from 0.
 
         Raises:
             DatasetError: a column has the wrong type, shape or length, holds NaN or infinity, actions lie outside their
                 bounds by more than 0.1 % of the range, no episode end can be told, or an episode id comes back.
         """
-        columns = {
-            "observations": validation.matrix(source, "observations", observations),
-            "actions": validation.matrix(source, "actions", actions),
-            "rewards": validation.vector(source, "rewards", rewards),
-        }
-        if next_observations is not None:
-            columns["next_observations"] = validation.matrix(source, "next_observations", next_observations)
-        for name, values in (("terminated", terminated), ("truncated", truncated)):
-            if values is not None:
-                columns[name] = validation.flags(source, name, values)
-        rows = validation.same_length(source, columns)
-        extra = validation.infos(source, infos or {}, rows)
-        if "next_observations" in columns:
-            validation.same_width(source, columns["observations"], columns["next_observations"])
-        if episode is not None:
-            episode = np.asarray(episode)
-            if episode.shape != (rows,):
-                raise DatasetError(
-                    f"{source}: field 'episode' must be [rows], one id per step; "
-                    f"got shape {episode.shape} for {rows:,} rows"
-                )
-        action_names = validation.names(source, "action_names", action_names, columns["actions"].shape[1], "action")
-        findings: list[dict[str, Any]] = []
-
-        low, high = validation.action_bounds(source, columns["actions"], action_names, action_bounds)
-        if action_bounds is None:
-            findings.append(
-                {
-                    "finding": "action-bounds-from-data",
-                    "count": len(action_names),
-                    "message": "no action_bounds were given; the smallest and largest logged action stand in for them",
-                }
-            )
-        strays = validation.outside_bounds(source, columns["actions"], low, high)
-        if strays.any():
-            columns["actions"] = np.clip(columns["actions"], low, high)
-            findings.append(
-                {
-                    "finding": "actions-clipped",
-                    "count": int(strays.sum()),
-                    "message": f"actions moved onto the bounds they miss by rounding, {validation.name_rows(strays)}",
-                }
-            )
-        columns |= {f"{_INFO}{name}": values for name, values in extra.items()}  # so that they lose the same rows
-        starts = episodes.complete(source, columns, episode, findings)
-        extra = {name: columns.pop(f"{_INFO}{name}") for name in extra}
-        for column in columns.values():
-            column.setflags(write=False)  # so that the constructor need not copy it
-
-        provenance = dict(provenance or {})
-        provenance["findings"] = [*provenance.get("findings", []), *findings]
-        return cls(
-            **columns,
-            episode_starts=starts,
-            action_low=low,
-            action_high=high,
-            observation_names=validation.names(
-                source, "observation_names", observation_names, columns["observations"].shape[1], "observation"
-            ),
+        fields = assembly.completed(
+            source,
+            {
+                "observations": observations,
+                "actions": actions,
+                "rewards": rewards,
+                "next_observations": next_observations,
+                "terminated": terminated,
+                "truncated": truncated,
+            },
+            episode=episode,
+            action_bounds=action_bounds,
+            observation_names=observation_names,
             action_names=action_names,
+            infos=infos or {},
+            provenance=provenance or {},
+            row_numbers=row_numbers,
+        )
+        return cls(
+            **fields,
             observation_units=None if observation_units is None else tuple(observation_units),
             action_units=None if action_units is None else tuple(action_units),
-            infos=extra,
-            provenance=provenance,
             source=source,
         )
 
@@ -319,6 +253,7 @@ class Dataset:
         path: str | os.PathLike[str],
         *,
         format: str | None = None,
+        progress: Progress | None = None,
         **options: Any,
     ) -> "Dataset":
         """Reads a file written by `save`, or a file or folder in one of the layouts of `odaf.data.readers`.
@@ -328,6 +263,7 @@ class Dataset:
         Args:
             path: file or folder.
             format: a name in `odaf.data.readers.FORMATS`; None tells the layout from the contents.
+            progress: told how far it has come, as (done, all there is to do).
             options: of the layout's own reader: `max_episode_steps`, `action_bounds` and `d4rl_compat` for D4RL files
                 (`odaf.data.readers.d4rl.read`), `observations=[...]` and more for tables. None counts as not given.
 
@@ -338,8 +274,8 @@ class Dataset:
         from odaf.data import readers, storage
 
         given = {name: value for name, value in options.items() if value is not None}
-        if format is not None or readers.detect(path) != "odaf":
-            return readers.read(path, format=format, **given).to_dataset()
+        if format is not None or not storage.is_own_file(path):
+            return readers.read(path, format=format, **given).to_dataset(progress)
         with storage.opened(path) as (file, source):
             for option, value in given.items():
                 if value is not False:
@@ -347,13 +283,18 @@ class Dataset:
                         f"{source}: {option} applies to files in the D4RL layout and others like it, this is an odaf "
                         "dataset; leave the option out"
                     )
-            return storage.read(file, source)
+            return storage.read(file, source, progress)
 
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Writes the dataset to one HDF5 file; a crash leaves either the old file or the new one, never a part."""
+    def save(self, path: str | os.PathLike[str], progress: Progress | None = None) -> None:
+        """Writes the dataset to one HDF5 file; a crash leaves either the old file or the new one, never a part.
+
+        Args:
+            path: the file.
+            progress: told how far it has come, as (done, all there is to do).
+        """
         from odaf.data import storage
 
-        storage.write(self, path)
+        storage.write(self, path, progress)
 
     def __len__(self) -> int:
         return len(self.rewards)
@@ -385,7 +326,7 @@ class Dataset:
 
     def episode_lengths(self) -> np.ndarray:
         """[E] int64, steps."""
-        return self._episode_stops() - self.episode_starts
+        return np.append(self.episode_starts[1:], len(self)).astype(np.int64) - self.episode_starts
 
     def episode_returns(self) -> np.ndarray:
         """[E] float64, undiscounted sums of the logged rewards."""
@@ -406,9 +347,7 @@ class Dataset:
 
     def fingerprint(self) -> str:
         """SHA-256 (hex) over names, types, shapes and bytes of all arrays and the metadata; equal data, equal print."""
-        from odaf.data import storage
-
-        return storage.checksum(storage.arrays_of(self), storage.metadata(self))
+        return fingerprint.checksum(fingerprint.arrays_of(self), fingerprint.metadata(self))
 
     def check(self) -> "Report":
         """What may trouble learning from these rows, each with row numbers and a remedy; print it to see a table.
@@ -439,41 +378,17 @@ class Dataset:
             action_bounds=(self.action_low, self.action_high),
             infos=self.infos,
             provenance=self.provenance,
+            mixture=self.mixture,
             findings=tuple(self.provenance.get("findings", ())),
         )
 
     def summary(self) -> dict[str, Any]:
         """Counts, returns and provenance in JSON types. Returns are undiscounted sums per episode."""
-        returns, lengths = self.episode_returns(), self.episode_lengths()
-        return {
-            "transitions": len(self),
-            "episodes": self.num_episodes,
-            "mean_return": float(returns.mean()),
-            "std_return": float(returns.std()),
-            "best_return": float(returns.max()),
-            "worst_return": float(returns.min()),
-            "mean_length": float(lengths.mean()),
-            "terminal_share": float(self.terminated[self._episode_stops() - 1].mean()),
-            "observation_names": list(self.observation_names),
-            "action_names": list(self.action_names),
-            "observation_units": list(self.observation_units or ()),
-            "action_units": list(self.action_units or ()),
-            "infos": sorted(self.infos),
-            "action_low": self.action_low.tolist(),
-            "action_high": self.action_high.tolist(),
-            "provenance": _plain_json("Dataset.summary", self.provenance),
-        }
+        return summary.summarise(self)
 
     def select(self, chosen: Sequence[int] | np.ndarray) -> "Dataset":
-        """A dataset of the episodes `chosen`, in that order; at least one."""
-        slices = [self.episode(int(index)) for index in chosen]
-        if not slices:
-            raise DatasetError("Dataset.select: no episode was chosen; a dataset needs at least one")
-        rows = np.concatenate([np.arange(part.start, part.stop) for part in slices])
-        lengths = np.array([part.stop - part.start for part in slices])
-        columns: dict[str, Any] = {name: getattr(self, name)[rows] for name in COLUMNS}
-        columns["infos"] = {name: values[rows] for name, values in self.infos.items()}
-        return replace(self, **columns, episode_starts=np.cumsum(lengths) - lengths, source="Dataset.select")
+        """A dataset of the episodes `chosen`, in that order; at least one, and of a mixture some of both parts."""
+        return splits.select(self, chosen)
 
     def split(self, holdout: float = 0.2, seed: int = 0) -> tuple["Dataset", "Dataset"]:
         """(train, holdout): whole episodes, drawn without replacement; both parts keep the order of the log.
@@ -482,31 +397,4 @@ class Dataset:
             holdout: share of the episodes to set aside, in (0, 1); rounded, at least one episode on each side.
             seed: the same seed sets the same episodes aside.
         """
-        if not 0.0 < holdout < 1.0:
-            raise DatasetError(f"Dataset.split: holdout is {holdout}; give a share between 0 and 1, for instance 0.2")
-        if self.num_episodes < 2:
-            raise DatasetError("Dataset.split: one episode cannot be split into whole episodes; log more of them")
-        count = min(max(round(holdout * self.num_episodes), 1), self.num_episodes - 1)
-        order = np.random.default_rng(seed).permutation(self.num_episodes)
-        parts = {"train": np.sort(order[count:]), "holdout": np.sort(order[:count])}
-        train, held = (
-            replace(
-                part := self.select(chosen),
-                provenance={**part.provenance, "split": {"part": name, "holdout": holdout, "seed": seed}},
-                source="Dataset.split",
-            )
-            for name, chosen in parts.items()
-        )
-        return train, held
-
-    def _episode_stops(self) -> np.ndarray:
-        return np.append(self.episode_starts[1:], len(self)).astype(np.int64)
-
-
-def _plain_json(source: str, provenance: Any) -> dict[str, Any]:
-    try:
-        return json.loads(json.dumps(provenance, allow_nan=False))
-    except (TypeError, ValueError) as error:
-        raise DatasetError(
-            f"{source}: provenance must consist of JSON types ({error}); convert arrays with .tolist()"
-        ) from error
+        return splits.split(self, holdout, seed)

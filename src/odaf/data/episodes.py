@@ -4,17 +4,22 @@ from typing import Any
 
 import numpy as np
 
-from odaf.data.validation import name_rows
+from odaf.data.validation import RowNumbers, name_rows, number_of
 from odaf.errors import DatasetError
 
 
 def complete(
-    source: str, columns: dict[str, np.ndarray], episode: np.ndarray | None, findings: list[dict[str, Any]]
+    source: str,
+    columns: dict[str, np.ndarray],
+    episode: np.ndarray | None,
+    findings: list[dict[str, Any]],
+    row_numbers: RowNumbers | None = None,
 ) -> np.ndarray:
     """Fills in the missing columns so that every episode ends in exactly one way; returns the first rows [E] int64.
 
     Changes `columns` (which the caller owns): adds `terminated`, `truncated` and `next_observations` where absent, and
-    drops last rows whose successor nobody logged. Each change is appended to `findings` with its count.
+    drops last rows whose successor nobody logged. Each change is appended to `findings` with its count and its
+    rows, as `row_numbers` calls them.
     """
     rows = len(columns["observations"])
     flags_given = "terminated" in columns or "truncated" in columns
@@ -24,24 +29,31 @@ def complete(
     both = terminated & truncated
     if both.any():
         columns["truncated"] = truncated = truncated & ~terminated
-        findings.append(_finding("terminated-and-truncated", both, "rows marked as both ends count as terminated"))
+        findings.append(
+            _finding("terminated-and-truncated", both, row_numbers, "rows marked as both ends count as terminated")
+        )
 
     if episode is None:
         starts = _starts_from_flags(source, terminated, truncated, flags_given)
     else:
-        starts = _starts_from_ids(source, episode)
-        _refuse_ends_inside(source, starts, terminated, truncated)
+        starts = _starts_from_ids(source, episode, row_numbers)
+        _refuse_ends_inside(source, starts, terminated, truncated, row_numbers)
 
     last = _last_rows(starts, rows)
     unfinished = last & ~terminated & ~truncated
     if unfinished.any():
         columns["truncated"] = truncated = truncated | unfinished
         findings.append(
-            _finding("unfinished-episodes", unfinished, "episodes that stop without an end flag count as truncated")
+            _finding(
+                "unfinished-episodes",
+                unfinished,
+                row_numbers,
+                "episodes that stop without an end flag count as truncated",
+            )
         )
 
     if "next_observations" not in columns:
-        return _shift(source, columns, starts, findings)
+        return _shift(source, columns, starts, findings, row_numbers)
     mismatch = ~last
     mismatch[:-1] &= (columns["next_observations"][:-1] != columns["observations"][1:]).any(axis=1)
     if mismatch.any():
@@ -49,6 +61,7 @@ def complete(
             _finding(
                 "successor-differs-from-next-row",
                 mismatch,
+                row_numbers,
                 "the logged next observation is not the one the next row of the episode starts from; used as logged",
             )
         )
@@ -110,32 +123,38 @@ def _starts_from_flags(source: str, terminated: np.ndarray, truncated: np.ndarra
     return starts[starts < len(ends)].astype(np.int64)
 
 
-def _starts_from_ids(source: str, episode: np.ndarray) -> np.ndarray:
+def _starts_from_ids(source: str, episode: np.ndarray, row_numbers: RowNumbers | None) -> np.ndarray:
     starts = np.append(0, np.flatnonzero(episode[1:] != episode[:-1]) + 1).astype(np.int64)
     ids, counts = np.unique(episode[starts], return_counts=True)
     if (counts > 1).any():
         again = ids[counts > 1][0]
-        blocks = starts[episode[starts] == again]
+        blocks = [number_of(int(row), len(episode), row_numbers) for row in starts[episode[starts] == again]]
         raise DatasetError(
             f"{source}: field 'episode': id {again!s} appears in {len(blocks)} separate blocks, which start in rows "
-            f"{', '.join(str(row) for row in blocks[:5])}; sort the rows by episode and time, or use unique ids"
+            f"{', '.join(map(str, blocks[:5]))}; sort the rows by episode and time, or use unique ids"
         )
     return starts
 
 
-def _refuse_ends_inside(source: str, starts: np.ndarray, terminated: np.ndarray, truncated: np.ndarray) -> None:
+def _refuse_ends_inside(
+    source: str, starts: np.ndarray, terminated: np.ndarray, truncated: np.ndarray, row_numbers: RowNumbers | None
+) -> None:
     inside = ~_last_rows(starts, len(terminated))
     for field, flag in (("terminated", terminated), ("truncated", truncated)):
         wrong = flag & inside
         if wrong.any():
             raise DatasetError(
-                f"{source}: field '{field}' marks an end inside an episode id, {name_rows(wrong)}; "
+                f"{source}: field '{field}' marks an end inside an episode id, {name_rows(wrong, row_numbers)}; "
                 "correct the ids, or leave out episode= to split at the flags"
             )
 
 
 def _shift(
-    source: str, columns: dict[str, np.ndarray], starts: np.ndarray, findings: list[dict[str, Any]]
+    source: str,
+    columns: dict[str, np.ndarray],
+    starts: np.ndarray,
+    findings: list[dict[str, Any]],
+    row_numbers: RowNumbers | None,
 ) -> np.ndarray:
     rows = len(columns["observations"])
     last = _last_rows(starts, rows)
@@ -148,6 +167,7 @@ def _shift(
             _finding(
                 "terminal-successor-unknown",
                 placeholders,
+                row_numbers,
                 "terminated rows without a logged successor repeat their own observation; nothing learns from it",
             )
         )
@@ -162,6 +182,7 @@ def _shift(
         _finding(
             "dropped-without-successor",
             dropped,
+            row_numbers,
             "last rows of truncated episodes dropped: no next observation was logged, their reward is lost too",
         )
     )
@@ -187,5 +208,5 @@ def _last_rows(starts: np.ndarray, rows: int) -> np.ndarray:
     return mask
 
 
-def _finding(name: str, mask: np.ndarray, message: str) -> dict[str, Any]:
-    return {"finding": name, "count": int(mask.sum()), "message": f"{message}: {name_rows(mask)}"}
+def _finding(name: str, mask: np.ndarray, row_numbers: RowNumbers | None, message: str) -> dict[str, Any]:
+    return {"finding": name, "count": int(mask.sum()), "message": f"{message}: {name_rows(mask, row_numbers)}"}

@@ -5,12 +5,14 @@ A reader finds columns and says what they mean; it neither repairs nor drops. `o
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from odaf.data.validation import Bounds
+from odaf.data.mixture import Mixture
+from odaf.data.progress import Counter, Progress
+from odaf.data.validation import Bounds, RowNumbers
 
 if TYPE_CHECKING:
     from odaf.data.dataset import Dataset
@@ -52,7 +54,9 @@ class Log:
         infos: further columns to keep beside the rows, by name.
         provenance: JSON types: what the source says of itself.
         findings: what the reader had to decide, in the form of `Dataset.provenance["findings"]`.
-        row_offset: number of the first row in the source, as messages should give it; 2 for a CSV file with a heading.
+        mixture: how batches of these rows are mixed, known only to files of ours.
+        row_numbers: [N] number of each row in the source, as messages should give it, such as `range(2, N + 2)` for a
+            CSV file with a heading; None counts from 0.
     """
 
     columns: Mapping[str, Column]
@@ -66,7 +70,8 @@ class Log:
     infos: Mapping[str, Column] = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)
     findings: tuple[Mapping[str, Any], ...] = ()
-    row_offset: int = 0
+    mixture: Mixture | None = None
+    row_numbers: RowNumbers | None = None
 
     def __len__(self) -> int:
         return len(self.columns["observations"])
@@ -76,33 +81,42 @@ class Log:
         for first in range(0, len(self), rows):
             yield first, {name: np.asarray(column[first : first + rows]) for name, column in self.columns.items()}
 
-    def to_dataset(self) -> "Dataset":
+    def to_dataset(self, progress: Progress | None = None) -> "Dataset":
         """The log as a dataset in memory.
+
+        Args:
+            progress: told how far it has come, in values of columns read.
 
         Raises:
             DatasetError: as `Dataset.from_arrays`.
         """
         from odaf.data.dataset import Dataset
 
-        arrays = {name: _whole(column) for name, column in self.columns.items() if name != "time"}
-        return Dataset.from_arrays(
+        wanted = {name: column for name, column in self.columns.items() if name != "time"}
+        counter = Counter(sum(len(column) for column in (*wanted.values(), *self.infos.values())), progress)
+        arrays = {name: _whole(column, counter) for name, column in wanted.items()}
+        dataset = Dataset.from_arrays(
             **arrays,
             action_bounds=self.action_bounds,
             observation_names=self.observation_names,
             action_names=self.action_names,
             observation_units=self.observation_units,
             action_units=self.action_units,
-            infos={name: _whole(column) for name, column in self.infos.items()},
+            infos={name: _whole(column, counter) for name, column in self.infos.items()},
             provenance={**self.provenance, "format": self.format, "findings": list(self.findings)},
             source=self.source,
+            row_numbers=self.row_numbers,
         )
+        return dataset if self.mixture is None else replace(dataset, mixture=self.mixture, source=self.source)
 
 
-def _whole(column: Column) -> np.ndarray:
+def _whole(column: Column, counter: Counter) -> np.ndarray:
     """The column in memory; an array as it is, because a slice of it would look as if somebody else could change it."""
     if type(column) is np.ndarray:
+        counter.add(len(column))
         return column
     values = np.asarray(column[:])
+    counter.add(len(column))
     if values.flags.owndata:
         values.setflags(write=False)  # read for us alone: the dataset may keep it uncopied
     return values

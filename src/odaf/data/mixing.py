@@ -1,11 +1,18 @@
-"""Two data sets as one: expert rows diluted with rows of a poorer controller, as published studies build them."""
+"""Two data sets as one: expert rows diluted with rows of a poorer controller, as published studies build them.
+
+`mix` keeps as many rows of each as the ratio asks for. `mix_per_batch` keeps all rows, and the ratio holds in each
+batch that is drawn in training. On average a batch is composed alike, but the first leaves few expert rows at high
+ratios, the second all of them: an easier task, and scores on the two must not be compared.
+"""
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from odaf.data.dataset import COLUMNS, Dataset
+from odaf.data.mixture import Mixture
 from odaf.errors import DatasetError
 
 COMMON = ("observation_names", "action_names", "observation_units", "action_units")
@@ -31,8 +38,7 @@ def mix(expert: Dataset, other: Dataset, ratio: float, transitions: int | None =
         The authors' released data preparation for ODAF. There the end flags of the poorer part are not cut to its
         length; here every column is.
     """
-    if not 0.0 < ratio < 1.0:
-        raise DatasetError(f"mix: ratio is {ratio}; give the share of the poorer rows, between 0 and 1, such as 0.7")
+    Mixture(len(expert), ratio)  # refuses a ratio that is none
     _require_same_task(expert, other)
     total = len(other) if transitions is None else transitions
     # A hair is added because 1 - 0.9 is a hair less than 0.1.
@@ -44,23 +50,53 @@ def mix(expert: Dataset, other: Dataset, ratio: float, transitions: int | None =
                 f"change the ratio, or ask for other than {total:,} transitions"
             )
     parts = [first_rows(part, count) for part, count in zip((expert, other), counts, strict=True)]
+    return _joined(parts[0], parts[1], {"construction": "static", "ratio": ratio}, (expert, other))
+
+
+def mix_per_batch(expert: Dataset, other: Dataset, ratio: float) -> Dataset:
+    """All rows of `expert`, then all rows of `other`; training takes each row of a batch from the latter with `ratio`.
+
+    The ratio and the border are the result's `mixture`: stored with it, part of its fingerprint, and heeded by
+    `odaf.fit`. What looks at the rows as they are, such as statistics, checks and the training of dynamics models, sees
+    all of them once.
+
+    Args:
+        expert: the better data.
+        other: the poorer data, of the same task.
+        ratio: share of rows from `other` in a batch, strictly between 0 and 1.
+
+    Raises:
+        DatasetError: the two describe different quantities, or one of them is such a mixture itself.
+
+    Source:
+        The released code of OSR draws a batch of each part and exchanges row by row with probability `ratio`.
+    """
+    mixture = Mixture(len(expert), ratio)
+    _require_same_task(expert, other)
+    joined = _joined(expert, other, {"construction": "per-batch", "ratio": ratio}, (expert, other))
+    return replace(joined, mixture=mixture, source="mix")
+
+
+def _joined(first: Dataset, second: Dataset, construction: dict[str, Any], whole: tuple[Dataset, Dataset]) -> Dataset:
+    """The rows of one after those of the other; `whole` are the data sets that they were taken from."""
+    parts = (first, second)
     columns: dict[str, Any] = {
         name: np.concatenate([getattr(part, name) for part in parts]) for name in (*COLUMNS, "episode_starts")
     }
-    columns["episode_starts"][parts[0].num_episodes :] += counts[0]
+    columns["episode_starts"][first.num_episodes :] += len(first)
     infos = [
         name
-        for name, values in parts[0].infos.items()
-        if name in parts[1].infos and parts[1].infos[name].shape[1:] == values.shape[1:]
+        for name, values in first.infos.items()
+        if name in second.infos and second.infos[name].shape[1:] == values.shape[1:]
     ]
     columns["infos"] = {name: np.concatenate([part.infos[name] for part in parts]) for name in infos}
-    dropped = sorted({*parts[0].infos, *parts[1].infos} - set(infos))
+    dropped = sorted({*first.infos, *second.infos} - set(infos))
     return Dataset(
         **columns,
-        **{name: getattr(expert, name) for name in COMMON},
-        action_low=expert.action_low,
-        action_high=expert.action_high,
-        provenance=_provenance(expert, other, ratio, counts, dropped),
+        **{name: getattr(first, name) for name in COMMON},
+        action_low=first.action_low,
+        action_high=first.action_high,
+        provenance=_provenance(whole, construction, [len(part) for part in parts], dropped),
         source="mix",
     )
 
@@ -69,6 +105,7 @@ def first_rows(dataset: Dataset, count: int) -> Dataset:
     """The first `count` rows; an episode that is cut there counts as truncated and keeps its logged successor."""
     if not 1 <= count <= len(dataset):
         raise DatasetError(f"first_rows: {count:,} rows are wanted of {len(dataset):,}; ask for fewer, at least one")
+    _refuse_mixture("first_rows", dataset)
     columns: dict[str, Any] = {name: getattr(dataset, name)[:count] for name in COLUMNS}
     if not columns["terminated"][-1]:
         columns["truncated"] = columns["truncated"].copy()
@@ -85,7 +122,16 @@ def first_rows(dataset: Dataset, count: int) -> Dataset:
     )
 
 
+def _refuse_mixture(source: str, dataset: Dataset) -> None:
+    if dataset.mixture is not None:
+        raise DatasetError(
+            f"{source}: the data are a mixture themselves, whose batches are drawn from two parts; give those parts"
+        )
+
+
 def _require_same_task(expert: Dataset, other: Dataset) -> None:
+    for part in (expert, other):
+        _refuse_mixture("mix", part)
     for what, left, right in (
         ("numbers in an observation", expert.obs_dim, other.obs_dim),
         ("numbers in an action", expert.act_dim, other.act_dim),
@@ -100,7 +146,9 @@ def _require_same_task(expert: Dataset, other: Dataset) -> None:
             )
 
 
-def _provenance(expert: Dataset, other: Dataset, ratio: float, counts: list[int], dropped: list[str]) -> dict[str, Any]:
+def _provenance(
+    parts: tuple[Dataset, Dataset], construction: dict[str, Any], counts: list[int], dropped: list[str]
+) -> dict[str, Any]:
     findings = []
     if dropped:
         findings.append(
@@ -112,15 +160,15 @@ def _provenance(expert: Dataset, other: Dataset, ratio: float, counts: list[int]
         )
     provenance: dict[str, Any] = {
         "mixture": {
-            "construction": "static",
-            "ratio": ratio,
+            **construction,
             "parts": [
                 {"role": role, "rows": count, "sha256": part.fingerprint(), "provenance": part.provenance}
-                for role, part, count in zip(("expert", "other"), (expert, other), counts, strict=True)
+                for role, part, count in zip(("expert", "other"), parts, counts, strict=True)
             ],
         },
         "findings": findings,
     }
+    expert, other = parts
     if expert.environment is not None and expert.environment == other.environment:
         provenance["environment"] = expert.environment
     return provenance

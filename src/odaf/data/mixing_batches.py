@@ -1,29 +1,20 @@
 """Batches that mix two data sets afresh at every draw, so that all rows of both stay within reach."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import jax.random as jr
 from jaxtyping import Array, PRNGKeyArray
 
 from odaf.data.transitions import Transitions
-from odaf.errors import DatasetError
 
 
-def joined_columns(expert: Transitions, other: Transitions) -> tuple[Transitions, int]:
-    """The expert's rows followed by the other's, and how many of them are the expert's; what `sample_mixed` draws from.
+class MixedColumns(eqx.Module):
+    """All columns of a data set of two parts, and how a batch is drawn from them."""
 
-    Observations of both must be normalised with the same numbers.
-
-    Raises:
-        DatasetError: the rows differ in width.
-    """
-    for name in ("observations", "actions"):
-        widths = getattr(expert, name).shape[1], getattr(other, name).shape[1]
-        if widths[0] != widths[1]:
-            raise DatasetError(
-                f"mixed batches: {name} have {widths[0]} columns in one data set, {widths[1]} in the other"
-            )
-    return jax.tree.map(lambda *parts: jnp.concatenate(parts), expert, other), expert.rewards.shape[0]
+    columns: Transitions  # the first part's rows, then the second's
+    border: int = eqx.field(static=True)  # rows of the first part
+    ratio: float = eqx.field(static=True)  # share of the second part
 
 
 def sample_mixed(

@@ -6,9 +6,34 @@ import numpy as np
 from jaxtyping import Array, PRNGKeyArray
 
 from odaf.data.dataset import Dataset
+from odaf.data.mixing_batches import MixedColumns, sample_mixed
 from odaf.data.normalisation import Normaliser, scale_actions
 from odaf.data.transitions import Transitions
 from odaf.errors import DatasetError
+
+# What training draws its batches from.
+Columns = Transitions | MixedColumns
+
+
+def training_columns(dataset: Dataset, normaliser: Normaliser, return_steps: int = 1, discount: float = 1.0) -> Columns:
+    """What `sample` draws batches from: `device_columns`, with the mixture of the data where they have one.
+
+    Raises:
+        DatasetError: as `device_columns`, or a part of a mixture has no row with so many steps.
+    """
+    columns = device_columns(dataset, normaliser, return_steps, discount)
+    if dataset.mixture is None:
+        return columns
+    border = dataset.mixture.border
+    if return_steps > 1:
+        _, kept = _n_step_rows(dataset, return_steps)
+        border = int((kept < border).sum())
+        if border in (0, len(kept)):
+            raise DatasetError(
+                f"return_steps={return_steps}: no episode of the {'second' if border else 'first'} part of the mixture "
+                "has so many steps; choose fewer"
+            )
+    return MixedColumns(columns, border, dataset.mixture.ratio)
 
 
 def device_columns(
@@ -44,25 +69,37 @@ def _n_step(dataset: Dataset, steps: int, discount: float) -> tuple[np.ndarray, 
     if steps == 1:
         return dataset.rewards, slice(None), slice(None)  # all rows, without a copy of them
     rows = np.arange(len(dataset))
+    last, kept = _n_step_rows(dataset, steps)
+    total = np.zeros(len(dataset))
     lengths = dataset.episode_lengths()
     stops = np.repeat(dataset.episode_starts + lengths, lengths)
-    last = np.minimum(rows + steps, stops) - 1
+    for ahead in range(steps):
+        inside = rows + ahead < stops
+        total[inside] += discount**ahead * dataset.rewards[rows[inside] + ahead]
+    return total[kept].astype(np.float32), last, kept
+
+
+def _n_step_rows(dataset: Dataset, steps: int) -> tuple[np.ndarray, np.ndarray]:
+    """(row that holds the n-step successor, row it belongs to), each [kept rows]."""
+    rows = np.arange(len(dataset))
+    lengths = dataset.episode_lengths()
+    last = np.minimum(rows + steps, np.repeat(dataset.episode_starts + lengths, lengths)) - 1
     kept = np.flatnonzero((last - rows + 1 == steps) | dataset.terminated[last])
     if len(kept) == 0:
         raise DatasetError(
             f"return_steps={steps}: no episode has so many steps (the longest has {lengths.max()}); choose fewer"
         )
-    total = np.zeros(len(dataset))
-    for ahead in range(steps):
-        inside = rows + ahead < stops
-        total[inside] += discount**ahead * dataset.rewards[rows[inside] + ahead]
-    return total[kept].astype(np.float32), last[kept], kept
+    return last[kept], kept
 
 
-def sample(columns: Transitions, key: PRNGKeyArray | Array, batch_size: int) -> Transitions:
-    """Draws `batch_size` rows uniformly with replacement; usable inside `jit`, `scan` and `vmap`.
+def sample(columns: Columns, key: PRNGKeyArray | Array, batch_size: int) -> Transitions:
+    """Draws `batch_size` rows with replacement, all equally likely, or by part of a mixture as `sample_mixed` does.
+
+    Usable inside `jit`, `scan` and `vmap`.
 
     The rows are a function of `key` alone, so a resumed run that carries its key draws what an unbroken one would.
     """
+    if isinstance(columns, MixedColumns):
+        return sample_mixed(columns.columns, columns.border, columns.ratio, key, batch_size)
     rows = jr.randint(key, (batch_size,), 0, columns.rewards.shape[0])
     return jax.tree.map(lambda column: column[rows], columns)

@@ -2,21 +2,25 @@
 
 Layout, version 1: root attributes `format` = "odaf-dataset", `version` = 1, `sha256`; one data set per array of
 `Dataset` under its own name; `infos/NAME` for each further column; and `metadata`, a JSON text with the names and units
-of the columns and the provenance. The checksum covers names, types, shapes and bytes of all arrays and the metadata,
-not the HDF5 packing around them.
+of the columns and the provenance. Version 2 adds `mixture` to that text; data without one are written as version 1, for
+readers that know of no mixtures and would draw all rows evenly. The checksum covers names, types, shapes and bytes of
+all arrays and the metadata, not the HDF5 packing around them.
 """
 
 import contextlib
-import hashlib
 import json
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import h5py
 import numpy as np
 
+from odaf.data import fingerprint
+from odaf.data.fingerprint import FIELDS, TEXTS
+from odaf.data.mixture import Mixture
+from odaf.data.progress import Counter, Progress
 from odaf.errors import DatasetError
 
 if TYPE_CHECKING:
@@ -24,39 +28,35 @@ if TYPE_CHECKING:
     from odaf.data.log import Log
 
 FORMAT = "odaf-dataset"
-VERSION = 1
-
-# name: (dtype, number of axes)
-_FIELDS = {
-    "observations": ("<f4", 2),
-    "actions": ("<f4", 2),
-    "rewards": ("<f4", 1),
-    "next_observations": ("<f4", 2),
-    "terminated": ("|b1", 1),
-    "truncated": ("|b1", 1),
-    "episode_starts": ("<i8", 1),
-    "action_low": ("<f4", 1),
-    "action_high": ("<f4", 1),
-}
-_TEXTS = ("observation_names", "action_names", "observation_units", "action_units")
+VERSION = 2
 
 
-def write(dataset: "Dataset", path: str | os.PathLike[str]) -> None:
+def write(dataset: "Dataset", path: str | os.PathLike[str], progress: Progress | None = None) -> None:
     """Writes `dataset` to `path` through a temporary file beside it that is renamed when complete.
+
+    Args:
+        dataset: the data.
+        path: the file.
+        progress: told how far it has come, in bytes summed and bytes written.
 
     Raises:
         DatasetError: the folder does not exist or cannot be written to.
     """
-    arrays = arrays_of(dataset)
-    text = metadata(dataset)
+    arrays, text = fingerprint.arrays_of(dataset), fingerprint.metadata(dataset)
+    counter = Counter(2 * sum(array.nbytes for array in arrays.values()), progress)
     # The library version sets a layout whose own bookkeeping is checksummed, so damage there is noticed too.
     with replacing(path) as partial, h5py.File(partial, "w", libver=("v110", "v110")) as file:
         file.attrs["format"] = FORMAT
-        file.attrs["version"] = VERSION
-        file.attrs["sha256"] = checksum(arrays, text)
+        file.attrs["version"] = 1 if dataset.mixture is None else VERSION
+        file.attrs["sha256"] = fingerprint.checksum(arrays, text, counter.add)
         for name, array in arrays.items():
-            dtype = _FIELDS[name][0] if name in _FIELDS else array.dtype.newbyteorder("<")
-            file.create_dataset(name, data=array.astype(dtype, copy=False))
+            dtype = fingerprint.stored_dtype(name, array)
+            item = file.create_dataset(name, array.shape, dtype)
+            rows = max(1, fingerprint.PIECE * len(array) // max(array.nbytes, 1))
+            for first in range(0, len(array), rows):
+                piece = array[first : first + rows]
+                item[first : first + rows] = piece.astype(dtype, copy=False)
+                counter.add(piece.nbytes)
         file.create_dataset("metadata", data=text)
 
 
@@ -150,8 +150,13 @@ def is_own_file(path: str | os.PathLike[str]) -> bool:
         return is_own(file, source)
 
 
-def read(file: h5py.File, source: str) -> "Dataset":
+def read(file: h5py.File, source: str, progress: Progress | None = None) -> "Dataset":
     """The dataset in an open file of our own format.
+
+    Args:
+        file: the open file.
+        source: how messages name it.
+        progress: told how far it has come, in bytes read and bytes summed.
 
     Raises:
         DatasetError: a newer version, a missing or odd field, a wrong checksum, or rows that fail a check.
@@ -160,14 +165,23 @@ def read(file: h5py.File, source: str) -> "Dataset":
 
     stored = _stored_checksum(file, source)
     with reading(source):
-        arrays = {name: _field(file, source, name, dtype, axes) for name, (dtype, axes) in _FIELDS.items()}
-        arrays |= {f"infos/{name}": read_array(file, source, f"infos/{name}") for name in _info_names(file, source)}
+        infos = [f"infos/{name}" for name in _info_names(file, source)]
+        for name in FIELDS:
+            require_field(file, source, name)
+        counter = Counter(2 * sum(array_item(file, source, name).nbytes for name in (*FIELDS, *infos)), progress)
+        arrays: dict[str, np.ndarray] = {}
+        for name in (*FIELDS, *infos):
+            arrays[name] = read_array(file, source, name)
+            if name in FIELDS:
+                _require_type(source, name, arrays[name], *FIELDS[name])
+            counter.add(arrays[name].nbytes)
         text = _metadata_text(file, source)
-    names, provenance = _verified(source, arrays, text, stored)
+    names, provenance = _verified(source, arrays, text, stored, counter.add)
     for array in arrays.values():
         array.setflags(write=False)  # nobody else holds them, so the dataset may keep them uncopied
-    infos = {name.removeprefix("infos/"): arrays.pop(name) for name in list(arrays) if name not in _FIELDS}
-    return Dataset(**arrays, **names, infos=infos, provenance=provenance, source=source)
+    own = {name: arrays[name] for name in FIELDS}
+    extra = {name.removeprefix("infos/"): arrays[name] for name in infos}
+    return Dataset(**own, **names, infos=extra, provenance=provenance, source=source)
 
 
 def open_log(path: str | os.PathLike[str]) -> "Log":
@@ -185,8 +199,8 @@ def open_log(path: str | os.PathLike[str]) -> "Log":
             raise DatasetError(f"{source}: no attribute 'format', so this is no odaf dataset; name its layout")
         stored = _stored_checksum(file, source)
         with reading(source):
-            arrays = {name: _mapped(file, source, name) for name in _FIELDS}
-            for name, (dtype, axes) in _FIELDS.items():
+            arrays = {name: _mapped(file, source, name) for name in FIELDS}
+            for name, (dtype, axes) in FIELDS.items():
                 _require_type(source, name, arrays[name], dtype, axes)
             arrays |= {f"infos/{name}": _mapped(file, source, f"infos/{name}") for name in _info_names(file, source)}
             text = _metadata_text(file, source)
@@ -202,7 +216,7 @@ def open_log(path: str | os.PathLike[str]) -> "Log":
         source=source,
         format="odaf",
         action_bounds=(np.array(arrays["action_low"]), np.array(arrays["action_high"])),
-        infos={name.removeprefix("infos/"): arrays[name] for name in arrays if name not in _FIELDS},
+        infos={name.removeprefix("infos/"): arrays[name] for name in arrays if name not in FIELDS},
         provenance=provenance,
         findings=tuple(provenance.get("findings", ())),
         **names,
@@ -243,9 +257,13 @@ def _stored_checksum(file: h5py.File, source: str) -> str:
 
 
 def _verified(
-    source: str, arrays: Mapping[str, np.ndarray], text: str, stored: str
+    source: str,
+    arrays: Mapping[str, np.ndarray],
+    text: str,
+    stored: str,
+    advance: Callable[[int], None] | None = None,
 ) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Names and units of the columns, and the provenance, once lengths and checksum agree."""
+    """Names and units of the columns with the mixture, and the provenance, once lengths and checksum agree."""
     rows = len(arrays["observations"])
     for name in ("actions", "rewards", "next_observations", "terminated", "truncated"):
         if len(arrays[name]) != rows:
@@ -253,7 +271,7 @@ def _verified(
                 f"{source}: field '{name}' has {len(arrays[name]):,} rows, 'observations' has {rows:,}; "
                 "the file was edited or mixed from two: generate it again"
             )
-    found = checksum(arrays, text)
+    found = fingerprint.checksum(arrays, text, advance)
     if found != stored:
         raise DatasetError(
             f"{source}: the contents do not match their checksum (stored {stored[:12]}..., found {found[:12]}...); "
@@ -261,38 +279,14 @@ def _verified(
         )
     try:
         content = json.loads(text)
-        return {field: tuple(content[field]) for field in _TEXTS}, dict(content["provenance"])
+        names: dict[str, Any] = {field: tuple(content[field]) for field in TEXTS}
+        if "mixture" in content:
+            names["mixture"] = Mixture.from_dict(content["mixture"])
+        return names, dict(content["provenance"])
     except (ValueError, KeyError, TypeError) as error:
         raise DatasetError(
             f"{source}: field 'metadata' cannot be read ({type(error).__name__}: {error}); generate the file again"
         ) from error
-
-
-def arrays_of(dataset: "Dataset") -> dict[str, np.ndarray]:
-    """Every array of the file, in its order: those of `Dataset`, then its infos by name."""
-    arrays = {name: getattr(dataset, name) for name in _FIELDS}
-    return arrays | {f"infos/{name}": dataset.infos[name] for name in sorted(dataset.infos)}
-
-
-def metadata(dataset: "Dataset") -> str:
-    """Column names and provenance as canonical JSON: sorted keys, no spaces."""
-    content: dict[str, Any] = {field: list(getattr(dataset, field)) for field in _TEXTS}
-    content["provenance"] = dataset.provenance
-    return json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
-
-
-def checksum(arrays: Mapping[str, np.ndarray], text: str) -> str:
-    """SHA-256 (hex) over the arrays in the order of the format, each after its name, type and shape, then `text`."""
-    digest = hashlib.sha256()
-    for name in (*_FIELDS, *sorted(set(arrays) - set(_FIELDS))):
-        dtype = _FIELDS[name][0] if name in _FIELDS else arrays[name].dtype.newbyteorder("<")
-        array = np.ascontiguousarray(arrays[name], dtype=dtype)
-        digest.update(f"{name} {array.dtype.str} {array.shape}\n".encode())
-        if array.size:
-            digest.update(array.view(np.uint8).reshape(-1).data)  # its own bytes, uncopied
-    digest.update(f"metadata {len(text.encode())}\n".encode())
-    digest.update(text.encode())
-    return digest.hexdigest()
 
 
 def read_array(file: h5py.File, source: str, name: str) -> np.ndarray:
@@ -322,13 +316,6 @@ def require_field(file: h5py.File, source: str, name: str) -> None:
             f"{source}: field '{name}' is missing; the file has {sorted(file.keys())}: "
             "rename the column or generate the file again"
         )
-
-
-def _field(file: h5py.File, source: str, name: str, dtype: str, axes: int) -> np.ndarray:
-    require_field(file, source, name)
-    array = read_array(file, source, name)
-    _require_type(source, name, array, dtype, axes)
-    return array
 
 
 def _mapped(file: h5py.File, source: str, name: str) -> np.ndarray:

@@ -1,5 +1,6 @@
 """Checks that columns must pass before they become a dataset; each failure names the source, field, rows and remedy."""
 
+import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -13,17 +14,32 @@ BOUND_TOLERANCE = 1e-3
 # Rows looked at together, so that what is computed on the way stays small beside the data.
 _PIECE = 65_536
 
+# What messages call each row.
+RowNumbers = Sequence[int] | np.ndarray
+
 # (low, high), each a number or one per action; or {action name: (low, high)}.
 Bounds = Mapping[str, Any] | Sequence[Any] | np.ndarray
 
 
-def name_rows(mask: np.ndarray, limit: int = 5) -> str:
-    """`3 of 40 rows, the first of them 0, 7, 12`; `mask` [rows] marks the offending ones."""
+def name_rows(mask: np.ndarray, row_numbers: RowNumbers | None = None, limit: int = 5) -> str:
+    """`3 of 40 rows, the first of them 0, 7, 12`.
+
+    Args:
+        mask: [rows] marks the offending ones.
+        row_numbers: [rows] what the source calls each; None counts from 0, as is done where the number of rows differs
+            from that of the mask, which is then of a column that does not fit the others.
+        limit: how many to name.
+    """
     rows = np.flatnonzero(mask)
-    shown = ", ".join(str(row) for row in rows[:limit])
-    if len(rows) == 1:
-        return f"row {shown} of {len(mask)}"
-    return f"{len(rows)} of {len(mask)} rows, the first of them {shown}"
+    shown = ", ".join(str(number_of(int(row), len(mask), row_numbers)) for row in rows[:limit])
+    if len(rows) > 1:
+        return f"{len(rows):,} of {len(mask):,} rows, the first of them {shown}"
+    return f"row {shown} of {len(mask):,}" if row_numbers is None else f"row {shown}"
+
+
+def number_of(row: int, rows: int, row_numbers: RowNumbers | None) -> int:
+    """What the source calls a row; `row` itself where it has no numbers for that many rows."""
+    return row if row_numbers is None or len(row_numbers) != rows else int(row_numbers[row])
 
 
 def any_in_row(mask: np.ndarray) -> np.ndarray:
@@ -44,7 +60,7 @@ def numbers(source: str, field: str, values: Any) -> np.ndarray:
     return array
 
 
-def matrix(source: str, field: str, values: Any) -> np.ndarray:
+def matrix(source: str, field: str, values: Any, row_numbers: RowNumbers | None = None) -> np.ndarray:
     """[rows, dimensions] float32 and finite, copied unless nobody can change it."""
     array = numbers(source, field, values)
     if array.ndim != 2:
@@ -52,15 +68,15 @@ def matrix(source: str, field: str, values: Any) -> np.ndarray:
         raise DatasetError(f"{source}: field '{field}' must be [rows, dimensions], got shape {array.shape}; {remedy}")
     if array.shape[1] == 0:
         raise DatasetError(f"{source}: field '{field}' has no columns (shape {array.shape}); name at least one column")
-    return _single_precision(source, field, array)
+    return _single_precision(source, field, array, row_numbers)
 
 
-def vector(source: str, field: str, values: Any) -> np.ndarray:
+def vector(source: str, field: str, values: Any, row_numbers: RowNumbers | None = None) -> np.ndarray:
     """[rows] float32 and finite, copied unless nobody can change it; [rows, 1] is accepted."""
-    return _single_precision(source, field, _one_per_row(source, field, numbers(source, field, values)))
+    return _single_precision(source, field, _one_per_row(source, field, numbers(source, field, values)), row_numbers)
 
 
-def flags(source: str, field: str, values: Any) -> np.ndarray:
+def flags(source: str, field: str, values: Any, row_numbers: RowNumbers | None = None) -> np.ndarray:
     """[rows] bool, copied; [rows, 1] and numbers that are all 0 or 1 are accepted."""
     array = _one_per_row(source, field, numbers(source, field, values))
     if array.dtype != bool:
@@ -68,7 +84,7 @@ def flags(source: str, field: str, values: Any) -> np.ndarray:
         if odd.any():
             raise DatasetError(
                 f"{source}: field '{field}' must hold only true and false (or 1 and 0); "
-                f"other values in {name_rows(odd)}: {array[odd][:3].tolist()}; derive the flag first"
+                f"other values in {name_rows(odd, row_numbers)}: {array[odd][:3].tolist()}; derive the flag first"
             )
     return array.astype(bool)
 
@@ -97,7 +113,7 @@ def same_width(source: str, observations: np.ndarray, next_observations: np.ndar
         )
 
 
-def finite(source: str, field: str, array: np.ndarray) -> None:
+def finite(source: str, field: str, array: np.ndarray, row_numbers: RowNumbers | None = None) -> None:
     """Refuses NaN and infinity."""
     if array.dtype.kind != "f" or all(
         np.isfinite(array[first : first + _PIECE]).all() for first in range(0, len(array), _PIECE)
@@ -108,7 +124,7 @@ def finite(source: str, field: str, array: np.ndarray) -> None:
         rows = any_in_row(bad)
         columns = "" if bad.ndim == 1 else f" (columns {np.flatnonzero(bad.any(axis=0)).tolist()})"
         raise DatasetError(
-            f"{source}: field '{field}' holds NaN or infinity in {name_rows(rows)}{columns}; "
+            f"{source}: field '{field}' holds NaN or infinity in {name_rows(rows, row_numbers)}{columns}; "
             "repair these rows, or drop the whole episodes they belong to"
         )
 
@@ -149,7 +165,9 @@ def action_bounds(source: str, actions: np.ndarray, names: tuple[str, ...], boun
     return pair
 
 
-def outside_bounds(source: str, actions: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+def outside_bounds(
+    source: str, actions: np.ndarray, low: np.ndarray, high: np.ndarray, row_numbers: RowNumbers | None = None
+) -> np.ndarray:
     """[rows] bool: actions a hair outside their bounds. Those further out than `BOUND_TOLERANCE` of the range raise."""
     slack = BOUND_TOLERANCE * (high - low)
     outside = np.zeros(len(actions), bool)
@@ -163,9 +181,9 @@ def outside_bounds(source: str, actions: np.ndarray, low: np.ndarray, high: np.n
         index = int(np.flatnonzero(far.any(axis=0))[0])
         row = int(np.flatnonzero(far[:, index])[0])
         raise DatasetError(
-            f"{source}: field 'actions' leaves its bounds in {name_rows(any_in_row(far))}: column {index} is "
-            f"{actions[row, index]} in row {row}, allowed [{low[index]}, {high[index]}]; "
-            "pass the true action_bounds, or clip the actions before"
+            f"{source}: field 'actions' leaves its bounds in {name_rows(any_in_row(far), row_numbers)}: "
+            f"column {index} is {actions[row, index]} in row {number_of(row, len(far), row_numbers)}, "
+            f"allowed [{low[index]}, {high[index]}]; pass the true action_bounds, or clip the actions before"
         )
     return outside
 
@@ -210,6 +228,16 @@ def infos(source: str, columns: Mapping[str, Any], rows: int) -> dict[str, np.nd
     return own
 
 
+def plain_json(source: str, provenance: Any) -> dict[str, Any]:
+    """A copy of `provenance` in JSON types alone."""
+    try:
+        return json.loads(json.dumps(provenance, allow_nan=False))
+    except (TypeError, ValueError) as error:
+        raise DatasetError(
+            f"{source}: provenance must consist of JSON types ({error}); convert arrays with .tolist()"
+        ) from error
+
+
 def _one_per_row(source: str, field: str, array: np.ndarray) -> np.ndarray:
     if array.ndim == 2 and array.shape[1] == 1:
         return array[:, 0]
@@ -218,8 +246,8 @@ def _one_per_row(source: str, field: str, array: np.ndarray) -> np.ndarray:
     return array
 
 
-def _single_precision(source: str, field: str, array: np.ndarray) -> np.ndarray:
-    finite(source, field, array)
+def _single_precision(source: str, field: str, array: np.ndarray, row_numbers: RowNumbers | None) -> np.ndarray:
+    finite(source, field, array, row_numbers)
     if array.dtype == np.float32 and array.flags.owndata and not array.flags.writeable:
         return array  # nobody can change it, so it may be shared
     with np.errstate(over="ignore"):
@@ -230,6 +258,7 @@ def _single_precision(source: str, field: str, array: np.ndarray) -> np.ndarray:
     if bad.any():
         rows = any_in_row(bad)
         raise DatasetError(
-            f"{source}: field '{field}' is too large for single precision in {name_rows(rows)}; change its unit"
+            f"{source}: field '{field}' is too large for single precision in {name_rows(rows, row_numbers)}; "
+            "change its unit"
         )
     return result

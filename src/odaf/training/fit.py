@@ -10,7 +10,7 @@ from odaf.algorithms.base import Algorithm
 from odaf.algorithms.config import to_dict
 from odaf.data.dataset import Dataset
 from odaf.data.normalisation import Normaliser
-from odaf.data.sampling import device_columns
+from odaf.data.sampling import training_columns
 from odaf.errors import ConfigError, DatasetError
 from odaf.training import run_directory
 from odaf.training.evaluator import Evaluator
@@ -46,7 +46,7 @@ def fit(
 
     Args:
         algorithm: the learner's settings.
-        dataset: the logged data.
+        dataset: the logged data. If they are mixed per batch, so is each batch of the training.
         steps: updates for each seed.
         directory: where the run is written; must be empty, absent, or hold this very run.
         seeds: distinct non-negative integers, trained one after another.
@@ -183,7 +183,7 @@ def _train(
                 continue
             if columns is None:
                 learner = run.algorithm
-                columns = device_columns(dataset, run.normaliser, learner.return_steps, learner.discount)
+                columns = training_columns(dataset, run.normaliser, learner.return_steps, learner.discount)
             training.go(dataset, columns, loggers)
     finally:
         progress.close()

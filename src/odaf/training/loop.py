@@ -14,9 +14,8 @@ import jax.random as jr
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from odaf.algorithms.base import Algorithm
-from odaf.data.sampling import sample
+from odaf.data.sampling import Columns, sample
 from odaf.data.spec import Spec
-from odaf.data.transitions import Transitions
 
 # What a seed's key is folded with, one number a purpose.
 _PRETRAIN, _INIT, _TRAIN = 0, 1, 2
@@ -52,7 +51,7 @@ def settled(state: Any) -> Any:
     return jax.tree.map(lambda leaf: _firm(jnp.copy(leaf)) if eqx.is_array(leaf) else leaf, state)
 
 
-Fixed = tuple[Algorithm, Transitions, PRNGKeyArray, Int[Array, ""], Int[Array, ""]]
+Fixed = tuple[Algorithm, Columns, PRNGKeyArray, Int[Array, ""], Int[Array, ""]]
 
 
 @eqx.filter_jit(donate="all-except-first")
@@ -60,8 +59,8 @@ def train_stretch(fixed: Fixed, state: Any) -> tuple[Any, dict[str, Float[Array,
     """Runs updates `first + 1` to `last` and reduces their metrics.
 
     Args:
-        fixed: the learner, all columns of the dataset, the seed's `training_key`, `first` and `last`. Calls that differ
-            in the last three only share one compiled function; with `last` equal to `first` no update is run.
+        fixed: the learner, what batches are drawn from, the seed's `training_key`, `first` and `last`. Calls that
+            differ in the last three only share one compiled function; with `last` equal to `first` no update is run.
         state: the learner's state after `first` updates. Its memory is given to the result: do not use it again.
 
     Returns:

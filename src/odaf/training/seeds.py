@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 
 from odaf.data.dataset import Dataset
-from odaf.data.transitions import Transitions
+from odaf.data.sampling import Columns
 from odaf.errors import DivergenceError
 from odaf.training import checkpoints, loop, run_directory
 from odaf.training.evaluator import Evaluator
@@ -67,7 +67,7 @@ class SeedTraining:
         """Whether the last checkpoint is the last one asked for; it was evaluated before it was written."""
         return self.step >= self.steps
 
-    def go(self, dataset: Dataset, columns: Transitions, loggers: Sequence[Logger]) -> None:
+    def go(self, dataset: Dataset, columns: Columns, loggers: Sequence[Logger]) -> None:
         """Trains to the last step, with the files in a state to be continued after every write.
 
         Raises:
@@ -107,7 +107,7 @@ class SeedTraining:
         self._save(state)
         return state
 
-    def _go_on(self, state: Any, columns: Transitions, loggers: Sequence[Logger], lines: JsonLines) -> None:
+    def _go_on(self, state: Any, columns: Columns, loggers: Sequence[Logger], lines: JsonLines) -> None:
         run, record, seconds = self.run, self.record, self.record.seconds
         monitor = DivergenceMonitor(
             run.spec, run.algorithm.discount, run.config["algorithm"], seen={w.kind for w in record.warnings}

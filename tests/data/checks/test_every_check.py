@@ -263,8 +263,11 @@ def test_what_has_no_error_becomes_a_dataset_and_what_has_one_does_not(name: str
 
 
 def test_rows_are_numbered_as_in_the_source():
-    report = check_log(healthy.log(changed("rewards", [3, 17], np.nan), row_offset=2))
+    spoiled = changed("rewards", [3, 17], np.nan)
+    report = check_log(healthy.log(spoiled, row_numbers=range(2, 2 + healthy.ROWS)))
     assert only(report, "not-finite").rows == (5, 19)
+    moved = np.arange(healthy.ROWS)[::-1]
+    assert only(check_log(healthy.log(spoiled, row_numbers=moved)), "not-finite").rows == (moved[3], moved[17])
 
 
 def test_width_of_the_environment_that_the_log_names():

@@ -9,7 +9,7 @@ import h5py
 import numpy as np
 import pytest
 
-from odaf.data import storage
+from odaf.data import fingerprint, storage
 from odaf.data.checks import check_file
 
 ROWS, WIDTH = 500_000, 48
@@ -67,7 +67,7 @@ def write(path: Path, own: bool) -> None:
             file["metadata"] = json.dumps({**texts, "provenance": {}})
             file.attrs["format"], file.attrs["version"] = storage.FORMAT, 1
             arrays = {name: file[name][()] for name in file if name != "metadata"}  # type: ignore[index]
-            file.attrs["sha256"] = storage.checksum(arrays, file["metadata"][()].decode())  # type: ignore[index]
+            file.attrs["sha256"] = fingerprint.checksum(arrays, file["metadata"][()].decode())  # type: ignore[index]
 
 
 @pytest.mark.parametrize("own", [True, False], ids=["our own layout", "D4RL layout"])

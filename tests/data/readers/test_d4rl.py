@@ -299,6 +299,14 @@ def test_compatible_rows_by_hand(write):
     np.testing.assert_array_equal(dataset.episode_starts, [0, 5, 8])
 
 
+def test_compatible_rows_are_numbered_as_in_the_file(write):
+    """Row 8 timed out and is left out, so row 10 of the file is the tenth that is kept."""
+    actions = columns()["actions"]
+    actions[10] = 3.0
+    with pytest.raises(DatasetError, match="leaves its bounds in row 10: column 0 is 3.0 in row 10"):
+        Dataset.load(write(actions=actions), d4rl_compat=True)
+
+
 def test_nothing_left_in_compatible_mode(write):
     path = write(**{name: values[:1] for name, values in columns().items()}, without=["timeouts"])
     with pytest.raises(DatasetError, match="d4rl_compat drops all 1 rows"):

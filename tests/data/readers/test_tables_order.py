@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from odaf.data.checks import check_log
 from odaf.data.readers import tables
 from odaf.errors import DatasetError
 
@@ -192,3 +193,22 @@ def test_successors_are_the_recorded_ones_and_never_of_another_episode(form, tmp
     np.testing.assert_array_equal(dataset.rewards, level + 0.5)
     inside = ~(dataset.terminated | dataset.truncated)
     np.testing.assert_array_equal(level[1:][inside[:-1]], after[:-1][inside[:-1]])
+
+
+def test_rows_of_a_sorted_file_are_named_by_their_place_in_it(tmp_path):
+    """The log of two batches is written backwards: its last rows, 5 and 2, have no successor."""
+    rows = [(1, 2.0, 12), (1, 1.0, 11), (1, 0.0, 10), (0, 2.0, 2), (0, 1.0, 1), (0, 0.0, 0)]
+    lines = ["batch,time,level,valve,profit", *(f"{batch},{time},{level},0.5,1" for batch, time, level in rows)]
+    (tmp_path / "log.csv").write_text("\n".join(lines) + "\n")
+    options = {**ROLES, "episode": "batch", "time": "time", "sort_by": ["batch", "time"]}
+    log = tables.read(tmp_path / "log.csv", **options)
+    findings = {entry["finding"]: entry["message"] for entry in log.to_dataset().provenance["findings"]}
+    assert findings["dropped-without-successor"].endswith("2 of 6 rows, the first of them 5, 2")
+    assert findings["unfinished-episodes"].endswith("2 of 6 rows, the first of them 5, 2")
+    spoiled = (tmp_path / "log.csv").read_text().replace("1,1.0,11,0.5,1", "1,1.0,11,7.5,1")  # in row 3
+    (tmp_path / "log.csv").write_text(spoiled)
+    log = tables.read(tmp_path / "log.csv", **options)
+    (finding,) = (entry for entry in check_log(log).findings if entry.check == "actions-outside-bounds")
+    assert finding.rows == (3,)
+    with pytest.raises(DatasetError, match="leaves its bounds in row 3: column 0 is 7.5 in row 3"):
+        log.to_dataset()

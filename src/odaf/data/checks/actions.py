@@ -15,8 +15,7 @@ class Bounds:
 
     def __init__(self, facts: Facts):
         self._facts = facts
-        offset = facts.log.row_offset
-        self._far, self._near, self._on = Tally(offset), Tally(offset), Tally(offset)
+        self._far, self._near, self._on = Tally(), Tally(), Tally()
         self._entries = self._on_entries = 0
         self._low = np.full(facts.act_dim, np.inf)
         self._high = np.full(facts.act_dim, -np.inf)

@@ -1,11 +1,12 @@
 """From a log to a data set that carries its report."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
-from odaf.data.checks.findings import Report
-from odaf.data.checks.run import Progress, check_log
+from odaf.data.checks.findings import Finding, Report
+from odaf.data.checks.run import check_log
 from odaf.data.dataset import Dataset
 from odaf.data.log import Log
+from odaf.data.progress import Progress
 
 
 def adopt(log: Log, *, accept: Sequence[str] = (), progress: Progress | None = None) -> tuple[Dataset, Report]:
@@ -25,3 +26,21 @@ def adopt(log: Log, *, accept: Sequence[str] = (), progress: Progress | None = N
     content = report.to_dict()
     validation = {"verdict": report.verdict(), "findings": content["findings"], "accepted": list(accept)}
     return dataset.with_provenance(validation=validation), report
+
+
+def stored_report(dataset: Dataset) -> tuple[Report, tuple[str, ...]] | None:
+    """The report that `adopt` left in a data set, and the checks whose errors were accepted; None where there is none.
+
+    Its rows are numbered as in the source of that time. What is in `provenance["findings"]` too is left out.
+    """
+    validation = dataset.provenance.get("validation")
+    if not isinstance(validation, Mapping):
+        return None
+    recorded = {str(entry.get("message")) for entry in dataset.provenance.get("findings", ())}
+    findings = [Finding(**{**entry, "rows": tuple(entry["rows"])}) for entry in validation["findings"]]
+    report = Report(
+        source=str(dataset.provenance.get("file", "the source")),
+        format=str(dataset.provenance.get("format", "unknown")),
+        findings=tuple(finding for finding in findings if finding.message not in recorded),
+    )
+    return report, tuple(validation["accepted"])

@@ -16,7 +16,7 @@ class Jumps:
 
     def __init__(self, facts: Facts):
         self._facts = facts
-        self._tally = Tally(facts.log.row_offset)
+        self._tally = Tally()
         self._usual: np.ndarray | None = None
         self._columns: set[int] = set()
         self._largest = 0.0
@@ -72,7 +72,7 @@ class Successors:
 
     def __init__(self, facts: Facts):
         self._facts = facts
-        self._tally = Tally(facts.log.row_offset)
+        self._tally = Tally()
         self._compared = 0
         self._largest = 0.0
 

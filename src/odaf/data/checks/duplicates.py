@@ -52,7 +52,6 @@ class Duplicates:
 
     def findings(self) -> list[Finding]:
         self._close(np.array([self._sum]), np.array([self._start]), np.array([self._facts.rows - self._start]))
-        offset = self._facts.log.row_offset
         found = []
         rows, episodes = self._rows.repeated(), self._episodes.repeated()
         if rows.count:
@@ -61,7 +60,7 @@ class Duplicates:
             found.append(
                 Finding(
                     "duplicate-transitions", "warning" if share >= WARN_SHARE else "note", "", rows.count,
-                    tuple(row + offset for row in rows.rows),
+                    tuple(rows.rows),
                     f"{about}{share:.2%} of the transitions are exact copies of an earlier one",
                     "if the same recording was appended twice, leave one out: copies count double in learning, "
                     "and leak from the training part into the hold-out",
@@ -71,7 +70,7 @@ class Duplicates:
             about = "about " if episodes.estimated else ""
             found.append(
                 Finding(
-                    "duplicate-episodes", "warning", "", episodes.count, tuple(row + offset for row in episodes.rows),
+                    "duplicate-episodes", "warning", "", episodes.count, tuple(episodes.rows),
                     f"{about}{episodes.count:,} whole episodes are exact copies of an earlier one (their first rows)",
                     "leave the copies out before splitting, or the hold-out part is no test",
                 )

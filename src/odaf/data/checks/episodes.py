@@ -16,8 +16,7 @@ class Ends:
         self._facts = facts
         self._with_ids = "episode" in facts.fields
         self._flags = flags_present(facts)
-        offset = facts.log.row_offset
-        self._both, self._inside, self._unfinished = Tally(offset), Tally(offset), Tally(offset)
+        self._both, self._inside, self._unfinished = Tally(), Tally(), Tally()
         self._marked: dict[str, int] = dict.fromkeys(FLAGS, 0)
         self._same = len(self._flags) == 2
         self._start = self._seen = 0  # first row of the episode that is going on; rows so far
@@ -101,7 +100,7 @@ class Ends:
         if not self._with_ids:
             if self._last_ended or total == 0:
                 return []
-            row = self._start + self._facts.log.row_offset
+            row = self._start
             return [
                 Finding(
                     "unfinished-episode", self._unfinished_severity(), "truncated", trailing, (row,),
@@ -177,7 +176,6 @@ class Ids:
 
     def __init__(self, facts: Facts):
         self._seen = BoundedHashes()
-        self._offset = facts.log.row_offset
 
     def see(self, block: Block) -> None:
         rows = np.flatnonzero(block.starts)
@@ -188,7 +186,7 @@ class Ids:
         again = self._seen.repeated()
         if not again.count:
             return []
-        rows = tuple(int(row) + self._offset for row in again.rows)
+        rows = tuple(int(row) for row in again.rows)
         about = "about " if again.estimated else ""
         return [
             Finding(
@@ -205,8 +203,7 @@ class Clock:
     GAP = 1.5  # of the usual step
 
     def __init__(self, facts: Facts):
-        offset = facts.log.row_offset
-        self._gaps, self._repeats, self._back = Tally(offset), Tally(offset), Tally(offset)
+        self._gaps, self._repeats, self._back = Tally(), Tally(), Tally()
         self._usual: float | None = None
         self._largest = 0.0
         self._example = ""

@@ -24,7 +24,7 @@ class Finding:
         severity: `error`: not usable as it is; `warning`: usable, but learning may suffer; `note`: good to know.
         field: the column it is about, empty for the whole log.
         count: how many rows (values, episodes, as the message says) it concerns.
-        rows: the first rows, numbered as in the source.
+        rows: the first rows, numbered as in the source; checks themselves count from 0.
         message: what was found.
         remedy: what to do about it.
     """

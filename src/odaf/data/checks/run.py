@@ -2,7 +2,7 @@
 
 import math
 import os
-from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,13 +16,11 @@ from odaf.data.checks.findings import Finding, Report, sort_findings
 from odaf.data.checks.stream import Check, Facts, blocks
 from odaf.data.checks.values import Columns, Finite, FlagValues
 from odaf.data.log import Log
+from odaf.data.progress import Progress
 from odaf.errors import DatasetError
 
 BLOCK_BYTES = 2**23
 """Size of a block in the source's types. A block and its temporary copies are all the checks hold of the rows."""
-
-Progress = Callable[[int, int], None]
-"""Called with (rows seen, rows in all)."""
 
 
 def check_log(log: Log, *, widths: tuple[int, int] | None = None, progress: Progress | None = None) -> Report:
@@ -34,7 +32,7 @@ def check_log(log: Log, *, widths: tuple[int, int] | None = None, progress: Prog
     Args:
         log: what a reader returned.
         widths: (obs_dim, act_dim) that an environment needs; None takes those of the one the log names, if known.
-        progress: told how far the pass has come.
+        progress: told how far the pass has come, in rows.
     """
     facts, findings = structure.examine(log, widths)
     figures: dict[str, Any] = {}
@@ -48,6 +46,7 @@ def check_log(log: Log, *, widths: tuple[int, int] | None = None, progress: Prog
         for check in checks:
             findings += check.findings()
         figures = _figures(facts, checks)
+    findings = [_as_in_source(log, finding) for finding in findings]
     findings += known.version_findings(log)
     findings += [_from_reader(entry) for entry in log.findings]
     return Report(log.source, log.format, sort_findings(findings), figures)
@@ -160,6 +159,15 @@ def _figures(facts: Facts, checks: list[Check]) -> dict[str, Any]:
 def _plain(values: np.ndarray) -> list[float | None]:
     """JSON numbers; None for what is not finite."""
     return [value if math.isfinite(value) else None for value in map(float, values)]
+
+
+def _as_in_source(log: Log, finding: Finding) -> Finding:
+    """The finding with its rows, which checks count from 0, numbered as the source numbers them."""
+    numbers = log.row_numbers
+    if numbers is None:
+        return finding
+    # A column that is longer than the log has rows that the source's numbering does not reach.
+    return replace(finding, rows=tuple(int(numbers[row]) for row in finding.rows if row < len(numbers)))
 
 
 def _from_reader(entry: Any) -> Finding:

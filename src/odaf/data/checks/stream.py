@@ -81,9 +81,8 @@ class Check(Protocol):
 
 @dataclass
 class Tally:
-    """How often something was seen, and the first rows where."""
+    """How often something was seen, and the first rows where, counted from 0."""
 
-    offset: int  # added to row numbers, so that they are those of the source
     count: int = 0
     rows: list[int] = field(default_factory=list)
 
@@ -93,7 +92,7 @@ class Tally:
         self.count += marked if count is None else count
         if marked and len(self.rows) < SHOWN_ROWS:
             found = np.flatnonzero(mask)[: SHOWN_ROWS - len(self.rows)]
-            self.rows += [int(row) + first + self.offset for row in found]
+            self.rows += [int(row) + first for row in found]
 
     def row(self, number: int) -> None:
         """Counts one row by its number from 0."""

@@ -112,7 +112,7 @@ def _not_numbers(log: Log, name: str) -> Finding:
                 continue
             count += 1
             if len(rows) < SHOWN_ROWS:
-                rows.append(first + place + log.row_offset)
+                rows.append(first + place)
                 example = example or next(repr(entry) for entry in value if not _reads_as_number(entry))
     what = f"holds {np.dtype(column.dtype)} values, not numbers"
     if count:

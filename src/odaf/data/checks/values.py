@@ -20,11 +20,10 @@ class Finite:
             for name in ("observations", "actions", "rewards", "next_observations", "time")
             if name in facts.fields and facts.log.columns[name].dtype.kind == "f"
         ]
-        offset = facts.log.row_offset
-        self._bad = {name: Tally(offset) for name in self._fields}
+        self._bad = {name: Tally() for name in self._fields}
         self._values = dict.fromkeys(self._fields, 0)
         self._columns: dict[str, set[int]] = {name: set() for name in self._fields}
-        self._huge = {name: Tally(offset) for name in self._fields}
+        self._huge = {name: Tally() for name in self._fields}
 
     def see(self, block: Block) -> None:
         for name in self._fields:
@@ -68,7 +67,7 @@ class FlagValues:
 
     def __init__(self, facts: Facts):
         self._fields = [n for n in FLAGS if n in facts.fields and facts.log.columns[n].dtype.kind != "b"]
-        self._odd = {name: Tally(facts.log.row_offset) for name in self._fields}
+        self._odd = {name: Tally() for name in self._fields}
         self._example: dict[str, object] = {}
 
     def see(self, block: Block) -> None:

@@ -40,6 +40,9 @@ FORMATS: dict[str, Format] = {
     )
 }
 
+# Who gives one of these says that the file is a text table.
+_TEXT_OPTIONS = frozenset({"separator", "decimal_comma", "encoding", "skip_rows"})
+
 
 def read(path: str | os.PathLike[str], format: str | None = None, **options: Any) -> Log:
     """The log in a file or folder.
@@ -53,7 +56,7 @@ def read(path: str | os.PathLike[str], format: str | None = None, **options: Any
         DatasetError: there is nothing at `path`, its layout is unknown or unsafe, an option does not belong to the
             layout, or the reader refuses the contents.
     """
-    name = detect(path) if format is None else format
+    name = detect(path, text=not _TEXT_OPTIONS.isdisjoint(options)) if format is None else format
     if name == "odaf":
         raise DatasetError(f"{os.fspath(path)}: an odaf dataset; read it with Dataset.load")
     if name not in FORMATS:

@@ -65,7 +65,7 @@ def read(
     provenance |= {"file": os.path.basename(source), "rows_in_file": rows, "d4rl_compat": d4rl_compat}
     if max_episode_steps is not None:
         provenance["max_episode_steps"] = max_episode_steps
-    findings = []
+    findings, kept = [], None
     if d4rl_compat:
         kept, episode, terminated = _compat_rows(terminals, timeouts, max_episode_steps)
         if len(kept) == 0:
@@ -88,6 +88,7 @@ def read(
         infos=infos,
         provenance=provenance,
         findings=tuple(findings),
+        row_numbers=kept,
     )
 
 

@@ -20,8 +20,13 @@ _UNSAFE = (
 )
 
 
-def detect(path: str | os.PathLike[str]) -> str:
+def detect(path: str | os.PathLike[str], *, text: bool = False) -> str:
     """The name of the layout: one of `FORMATS`, or `odaf` for a file that `Dataset.save` wrote.
+
+    Args:
+        path: file or folder.
+        text: whether a file of no other layout is a text table even if its first line does not show it, as when lines
+            stand in front of the headings or the letters are not those of UTF-8.
 
     Raises:
         DatasetError: there is nothing at `path`, loading it would run code, or no layout fits what was found.
@@ -63,7 +68,7 @@ def detect(path: str | os.PathLike[str]) -> str:
         raise DatasetError(
             f"{source}: a single Arrow file; give the folder if Minari wrote it, or convert it to Parquet"
         )
-    if _is_table(head):
+    if text or _is_table(head):
         if place.suffix in (".h5", ".hdf5", ".hdf"):
             raise DatasetError(
                 f"{source}: named like an HDF5 file, but it holds a text table; if that is meant, say so with "
@@ -72,7 +77,8 @@ def detect(path: str | os.PathLike[str]) -> str:
         return "csv"
     raise DatasetError(
         f"{source}: no known layout: neither HDF5, .npz, Parquet nor a text table (its first bytes are {head[:16]!r}); "
-        "convert it to one of these, or build the data with Dataset.from_arrays"
+        "convert it to one of these, or build the data with Dataset.from_arrays; if it is a text table, say so with "
+        "format='csv', encoding= or skip_rows="
     )
 
 

@@ -7,7 +7,7 @@ from typing import Any, Literal
 import numpy as np
 import polars as pl
 
-from odaf.data.readers.table_cells import RowNumbers, name_rows
+from odaf.data.validation import RowNumbers, name_rows
 from odaf.errors import DatasetError
 
 OnGap = Literal["error", "break"]

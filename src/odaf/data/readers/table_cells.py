@@ -1,20 +1,16 @@
 """The cells of one column as numbers, flags, ids or times. Each refusal names the column, the rows and the remedy."""
 
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, NoReturn
 
 import numpy as np
 import polars as pl
 
-from odaf.data.validation import any_in_row
+from odaf.data.validation import RowNumbers, any_in_row, name_rows
 from odaf.errors import DatasetError
 
 OnMissing = Literal["error", "nan"]
-
-# What messages call each row.
-RowNumbers = Sequence[int] | np.ndarray
 
 _TRUE = ("true", "t", "yes", "1", "1.0")
 _FALSE = ("false", "f", "no", "0", "0.0")
@@ -41,15 +37,6 @@ class Cells:
     numbers: RowNumbers
     parsed: bool = False
     decimal_comma: bool = False
-
-
-def name_rows(mask: np.ndarray, numbers: RowNumbers, limit: int = 5) -> str:
-    """`3 of 40 rows, the first of them 2, 9, 14`; `mask` [rows] marks them, `numbers` [rows] names each."""
-    marked = np.flatnonzero(mask)
-    shown = ", ".join(str(int(numbers[int(index)])) for index in marked[:limit])
-    if len(marked) == 1:
-        return f"row {shown}"
-    return f"{len(marked):,} of {len(mask):,} rows, the first of them {shown}"
 
 
 def as_numbers(cells: Cells, on_missing: OnMissing = "error") -> np.ndarray:

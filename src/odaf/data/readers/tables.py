@@ -14,10 +14,10 @@ import numpy as np
 from odaf.data.log import Log
 from odaf.data.readers import row_order, table_cells, table_sources
 from odaf.data.readers.row_order import OnGap
-from odaf.data.readers.table_cells import OnMissing, RowNumbers
+from odaf.data.readers.table_cells import OnMissing
 from odaf.data.readers.table_meaning import Meaning, Units
 from odaf.data.readers.table_sources import Table
-from odaf.data.validation import Bounds
+from odaf.data.validation import Bounds, RowNumbers
 from odaf.errors import DatasetError
 
 
@@ -211,7 +211,7 @@ def build(table: Table, meaning: Meaning) -> Log:
             **facts,
         },
         findings=tuple(findings),
-        row_offset=table.row_offset,
+        row_numbers=numbers,
     )
 
 

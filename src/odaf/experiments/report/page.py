@@ -14,7 +14,7 @@ from odaf.experiments.report.configuration import ABSENT, differences
 from odaf.experiments.report.drawing import DARK, LIGHT, plain_number
 from odaf.experiments.report.layout import maze_layout
 from odaf.experiments.report.records import RunRecord, find_runs, optional, read_run
-from odaf.experiments.report.scores import Score, headline_index, labels, score
+from odaf.experiments.report.scores import Score, headline_index, labels, normalised, score
 from odaf.experiments.report.svg import variables
 from odaf.training.files import write_atomically
 
@@ -58,6 +58,17 @@ def render(runs: Sequence[RunRecord], title: str | None = None) -> str:
         names=names,
         scores=scores,
         main=main,
+        any_normalised=any(entry.normalised for entry in scores),
+        log_normalised=[
+            normalised(runs[main].data_environment_id, value) for value in (runs[main].data_best, runs[main].data_mean)
+        ],
+        seeds_normalised=[
+            [
+                normalised(run.evaluation_environment_id, None if seed.evaluation is None else seed.evaluation.mean)
+                for seed in run.seeds
+            ]
+            for run in runs
+        ],
         origins=origins,
         verdict=verdict(runs[main], scores[main]),
         facts=data_facts(runs[main]),

@@ -205,9 +205,21 @@ class RunRecord:
 
     @property
     def environment(self) -> Mapping[str, Any] | None:
-        """The environment the run was evaluated in, if it names one."""
+        """The environment of the training data, if they name one."""
         environment = self.data.get("environment")
         return environment if isinstance(environment, Mapping) else None
+
+    @property
+    def data_environment_id(self) -> str | None:
+        """Gymnasium's name of the environment of the training data, version included; `None` where it has none."""
+        return _identity(self.environment)
+
+    @property
+    def evaluation_environment_id(self) -> str | None:
+        """Gymnasium's name of where the run was evaluated, version included; `None` where it has none."""
+        settings = self.config.get("evaluate")
+        own = settings.get("environment") if isinstance(settings, Mapping) else None
+        return self.data_environment_id if own is None else _identity(own)
 
     @property
     def logged_returns(self) -> np.ndarray | None:
@@ -320,6 +332,11 @@ def optional(value: Any) -> float | None:
     """A finite float, or `None`."""
     result = number(value)
     return result if math.isfinite(result) else None
+
+
+def _identity(environment: Any) -> str | None:
+    identity = environment.get("id") if isinstance(environment, Mapping) else None
+    return str(identity) if identity else None
 
 
 def _json_if_there(path: Path) -> Mapping[str, Any]:

@@ -2,11 +2,13 @@
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
+from odaf.evaluation.reference_returns import normalised_score
 from odaf.evaluation.statistics import t_interval
 from odaf.experiments.report.records import Evaluation, RunRecord, SeedRecord, number, optional
 
@@ -31,6 +33,8 @@ class Score:
         stitched_rate: likewise.
         updates_per_second: mean over seeds.
         train_seconds: mean over seeds, updates only.
+        normalised: score where 0 is a random policy's return and 100 an expert's, with the environment version and the
+            raw return, as `odaf.evaluation.reference_returns` gives it; `None` without reference returns.
         status: "finished", or what the seeds that are not finished say of themselves.
     """
 
@@ -48,6 +52,7 @@ class Score:
     stitched_rate: float | None
     updates_per_second: float | None
     train_seconds: float | None
+    normalised: Mapping[str, Any] | None
     status: str
 
 
@@ -91,8 +96,16 @@ def score(run: RunRecord, label: str) -> Score:
         stitched_rate=_mean([evaluation.stitched_rate for evaluation in evaluations]),
         updates_per_second=_mean([_updates_per_second(seed) for seed in run.seeds]),
         train_seconds=_mean([_train_seconds(seed) for seed in run.seeds]),
+        normalised=normalised(run.evaluation_environment_id, float(means.mean()) if means.size else None),
         status=", ".join(unfinished) if unfinished else ("finished" if run.seeds else "not started"),
     )
+
+
+def normalised(environment: str | None, raw_return: float | None) -> Mapping[str, Any] | None:
+    """The normalised score of a return in an environment; `None` where it has no reference returns."""
+    if environment is None or raw_return is None:
+        return None
+    return normalised_score(environment, [raw_return])
 
 
 def episode_std(evaluations: Sequence[Evaluation]) -> float | None:
