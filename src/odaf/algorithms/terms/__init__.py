@@ -2,7 +2,8 @@
 
 from odaf.algorithms.terms.base import Context as Context
 from odaf.algorithms.terms.base import Term as Term
+from odaf.algorithms.terms.gradient_diversity import GradientDiversity as GradientDiversity
 from odaf.algorithms.terms.ood_pessimism import OODPessimism as OODPessimism
 from odaf.algorithms.terms.outcome_penalty import OutcomePenalty as OutcomePenalty
 
-TERMS: dict[str, type[Term]] = {term.name: term for term in (OutcomePenalty, OODPessimism)}
+TERMS: dict[str, type[Term]] = {term.name: term for term in (OutcomePenalty, OODPessimism, GradientDiversity)}
