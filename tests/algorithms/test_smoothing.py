@@ -87,7 +87,8 @@ def _naive(term, context, networks):
     """The maximum over all draws, differentiated through every one of them."""
     states, actions = context.batch.observations, context.batch.actions
     if isinstance(term, PolicySmoothing):
-        changes = [policy_change(networks, states, states + offset) for offset in _offsets(term)]
+        here = networks.parameters(states)
+        changes = [policy_change(here, networks.parameters(states + offset)) for offset in _offsets(term)]
     else:
         changes = [
             term.change(networks(states, actions), networks(states + offset, actions)) for offset in _offsets(term)

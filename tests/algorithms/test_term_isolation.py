@@ -1,6 +1,5 @@
 """Terms change what they should and nothing else: weight 0 is the base, and one term is deaf to another."""
 
-import dataclasses
 import functools
 
 import jax
@@ -130,16 +129,10 @@ def test_a_term_moves_what_it_says_and_leaves_the_rest_alone(term):
 
 
 def test_all_terms_together_leave_each_others_numbers_alone():
-    """Their losses are the same beside the others, and their order does not matter."""
-    together, metrics = _one_update(EACH)
+    _, metrics = _one_update(EACH)
     for term in EACH:
         _, own = _one_update((term,))
         assert {name: metrics[name] for name in own} == own
-    learner = EnsembleSAC(**tiny.SMALL, terms=EACH)
-    assert dataclasses.replace(learner, terms=EACH[::-1]) != learner
-    swapped, _ = _one_update(EACH[::-1])
-    for name in ("actor", "critics"):
-        tiny.assert_close(getattr(together, name), getattr(swapped, name), rtol=1e-9, atol=1e-12)
 
 
 def test_terms_leave_each_others_and_the_bases_numbers_alone():

@@ -16,9 +16,10 @@ from odaf.algorithms.base import Metrics
 from odaf.algorithms.terms.base import Context, Term
 from odaf.components.distributions import symmetric_gaussian_divergence
 from odaf.components.perturbations import draw_offsets, worst_offsets
-from odaf.components.policies import GaussianActor
 from odaf.components.targets import frozen
 from odaf.errors import ConfigError
+
+Gaussians = tuple[Float[Array, "rows act_dim"], Float[Array, "rows act_dim"]]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -51,15 +52,14 @@ class PolicySmoothing(Term):
         offsets = draw_offsets(
             key, self.num_draws, *states.shape, self.radius, shared=self.shared_draws, include_centre=False
         )
-        fixed = frozen(context.actor)
-        worst = worst_offsets(lambda offset: policy_change(fixed, states, states + offset), offsets)
-        change = policy_change(context.actor, states, states + worst)
+        actor, fixed = context.actor, frozen(context.actor)
+        here = fixed.parameters(states)
+        worst = worst_offsets(lambda offset: policy_change(here, fixed.parameters(states + offset)), offsets)
+        change = policy_change(actor.parameters(states), actor.parameters(states + worst))
         loss = jnp.mean(change)
         return self.weight * loss, {"policy_smoothing/loss": loss, "policy_smoothing/max": jnp.max(change)}
 
 
-def policy_change(
-    actor: GaussianActor, states: Float[Array, "rows obs_dim"], perturbed: Float[Array, "rows obs_dim"]
-) -> Float[Array, " rows"]:
-    """J: symmetric divergence between the policies at two states, before the tanh, in nats."""
-    return jnp.sum(symmetric_gaussian_divergence(*actor.parameters(states), *actor.parameters(perturbed)), axis=-1)
+def policy_change(here: Gaussians, there: Gaussians) -> Float[Array, " rows"]:
+    """J in nats: symmetric divergence between policies at two states, each a mean and a log std before the tanh."""
+    return jnp.sum(symmetric_gaussian_divergence(*here, *there), axis=-1)
