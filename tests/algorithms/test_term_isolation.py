@@ -32,6 +32,8 @@ SMALL_TERMS = {
     "value_smoothing.num_draws": 3,
     "inverse_dynamics.model.hidden_sizes": (5, 4),
     "inverse_dynamics.model.latent_dim": 3,
+    "inverse_dynamics_values.model.hidden_sizes": (5, 4),
+    "inverse_dynamics_values.model.latent_dim": 3,
 }
 INVERSE = InverseDynamicsConfig(hidden_sizes=(5, 4), latent_dim=3)
 
@@ -75,6 +77,19 @@ def test_a_weight_of_zero_is_the_base_bit_for_bit(with_term, change, base):
     assert jax.tree.structure(state) == jax.tree.structure(bare)
     tiny.assert_same_bits(state, bare)
     assert metrics.keys() == bare_metrics.keys()
+
+
+@pytest.mark.parametrize("name", ["edac", "odaf-rorl", "osr-10", "osr", "osr-v"])
+def test_the_relatives_train_compiled_and_move_both_networks(name):
+    state, metrics = _trained(_preset(name), updates=2)
+    start, _ = _trained(_preset(name), updates=0)
+    assert all(np.all(np.isfinite(values)) and values.shape == (2,) for values in metrics.values())
+    for term in presets.load(name).terms:
+        assert any(metric.startswith(f"{term.name}/") for metric in metrics), term.name
+    for part in ("actor", "critics"):
+        leaves = zip(jax.tree.leaves(getattr(state, part)), jax.tree.leaves(getattr(start, part)), strict=True)
+        assert all(not np.array_equal(ours, theirs) for ours, theirs in leaves), part
+    tiny.assert_same_bits(state.side, start.side)
 
 
 def _side(name: str):

@@ -182,7 +182,9 @@ def test_a_task_changes_the_preset_and_overrides_change_the_task():
     assert (learner.num_critics, learner.terms[0].weight) == (50, 1.0)
     assert presets.load("edac", task="walker2d-medium-expert").terms[0].weight == 5.0
     assert presets.load("edac", {"num_critics": 4}, task="hopper-medium").num_critics == 4
-    assert methods.preset("edac", task="hopper-medium", num_critics=4).num_critics == 4
+    assert methods.preset("edac", task="hopper-medium", num_critics=4) == presets.load(
+        "edac", {"num_critics": 4}, task="hopper-medium"
+    )
     assert _terms("odaf-rorl", "walker2d-medium")["outcome"].radius == 0.01
     assert _terms("odaf-rorl", "walker2d-medium")["policy_smoothing"].weight == 1.0, "its base has the task as well"
     assert _terms("odaf-rorl", "walker2d-medium-attack")["outcome"].radius == 0.07

@@ -49,8 +49,9 @@ class PolicySmoothing(Term):
         """weight * mean of the worst J; its gradient reaches the actor only."""
         del side
         states = context.batch.observations
+        rows, obs_dim = states.shape
         offsets = draw_offsets(
-            key, self.num_draws, *states.shape, self.radius, shared=self.shared_draws, include_centre=False
+            key, self.num_draws, rows, obs_dim, self.radius, shared=self.shared_draws, include_centre=False
         )
         actor, fixed = context.actor, frozen(context.actor)
         here = fixed.parameters(states)

@@ -49,8 +49,9 @@ class ValueSmoothing(Term):
         """weight * mean of the worst l; its gradient reaches the critics only."""
         del side
         states, actions = context.batch.observations, context.batch.actions
+        rows, obs_dim = states.shape
         offsets = draw_offsets(
-            key, self.num_draws, *states.shape, self.radius, shared=self.shared_draws, include_centre=False
+            key, self.num_draws, rows, obs_dim, self.radius, shared=self.shared_draws, include_centre=False
         )
         fixed = frozen(context.critics)
         fixed_values = fixed(states, actions)
