@@ -11,8 +11,18 @@ from hypothesis import strategies as st
 from odaf.algorithms import config
 from odaf.algorithms.behaviour_cloning import BehaviourCloning
 from odaf.algorithms.ensemble_sac import EnsembleSAC
-from odaf.algorithms.terms import OODPessimism, OutcomePenalty
+from odaf.algorithms.terms import (
+    Conservative,
+    GradientDiversity,
+    InverseDynamicsAlignment,
+    InverseDynamicsValues,
+    OODPessimism,
+    OutcomePenalty,
+    PolicySmoothing,
+    ValueSmoothing,
+)
 from odaf.components.dynamics import DynamicsConfig
+from odaf.components.inverse_dynamics import InverseDynamicsConfig
 from odaf.errors import ConfigError
 
 
@@ -76,6 +86,23 @@ ood_terms = _settings(
     floor=st.none() | st.floats(-10, 10),
     decay_steps=counts,
 )
+inverse_models = _settings(
+    InverseDynamicsConfig,
+    hidden_sizes=sizes,
+    latent_dim=counts,
+    encode_target=st.booleans(),
+    log_std_min=st.floats(-20.0, 1.0),
+    steps=counts,
+    schedule=st.sampled_from(["cosine", "constant"]),
+)
+other_terms = (
+    _settings(GradientDiversity, weight=amounts)
+    | _settings(PolicySmoothing, weight=amounts, radius=amounts, num_draws=counts, shared_draws=st.booleans())
+    | _settings(ValueSmoothing, weight=amounts, radius=amounts, fall_weight=st.floats(0.0, 1.0))
+    | _settings(InverseDynamicsAlignment, weight=amounts, state_noise=amounts, model=inverse_models)
+    | _settings(InverseDynamicsValues, weight=amounts, num_actions=counts, model=inverse_models)
+    | _settings(Conservative, weight=amounts, num_actions=counts)
+)
 learners = _settings(
     EnsembleSAC,
     num_critics=st.integers(2, 100),
@@ -89,7 +116,9 @@ learners = _settings(
     batch_size=counts,
     initial_temperature=rates,
     target_entropy=st.none() | st.floats(-10, 10),
-    terms=st.one_of(st.just(()), st.tuples(outcome_terms), st.tuples(ood_terms), st.tuples(outcome_terms, ood_terms)),
+    terms=st.one_of(
+        st.just(()), st.tuples(outcome_terms), st.tuples(ood_terms), st.tuples(outcome_terms, ood_terms, other_terms)
+    ),
 ) | _settings(BehaviourCloning, hidden_sizes=sizes, learning_rate=rates, batch_size=counts)
 
 
@@ -179,7 +208,10 @@ def test_a_learner_without_terms_says_so():
         ({}, "FILE: kind=None is not a learner; known: ensemble-sac, behaviour-cloning"),
         ({"kind": "td3"}, "FILE: kind='td3' is not a learner"),
         ({"kind": "ensemble-sac", "critics": 3}, "FILE: ensemble-sac has no field 'critics'; known: num_critics"),
-        ({"kind": "ensemble-sac", "terms": [{"name": "edac"}]}, "FILE: name='edac' is not a term; known: outcome, ood"),
+        (
+            {"kind": "ensemble-sac", "terms": [{"name": "edac"}]},
+            "FILE: name='edac' is not a term; known: outcome, ood, diversity",
+        ),
         ({"kind": "ensemble-sac", "terms": [{"weight": 1.0}]}, "FILE: name=None is not a term"),
         ({"kind": "ensemble-sac", "terms": ["outcome"]}, "FILE: a term must be a table with a name, got 'outcome'"),
         ({"kind": "ensemble-sac", "terms": "outcome"}, "FILE: terms='outcome'"),

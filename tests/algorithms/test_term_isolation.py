@@ -1,5 +1,7 @@
 """Terms change what they should and nothing else: weight 0 is the base, and one term is deaf to another."""
 
+import functools
+
 import jax
 import jax.random as jr
 import numpy as np
@@ -8,16 +10,38 @@ import pytest
 from golden import tiny
 from odaf.algorithms import config
 from odaf.algorithms.ensemble_sac import EnsembleSAC
-from odaf.algorithms.terms import OODPessimism, OutcomePenalty
+from odaf.algorithms.terms import (
+    TERMS,
+    Conservative,
+    GradientDiversity,
+    InverseDynamicsAlignment,
+    InverseDynamicsValues,
+    OODPessimism,
+    OutcomePenalty,
+    PolicySmoothing,
+    ValueSmoothing,
+)
+from odaf.components.inverse_dynamics import InverseDynamicsConfig, untrained_inverse
 from odaf.experiments import presets
 
-SMALL_DYNAMICS = {"outcome.dynamics.hidden_sizes": (5, 4), "outcome.dynamics.latent_dim": 3, "outcome.num_draws": 3}
+SMALL_TERMS = {
+    "outcome.dynamics.hidden_sizes": (5, 4),
+    "outcome.dynamics.latent_dim": 3,
+    "outcome.num_draws": 3,
+    "policy_smoothing.num_draws": 3,
+    "value_smoothing.num_draws": 3,
+    "inverse_dynamics.model.hidden_sizes": (5, 4),
+    "inverse_dynamics.model.latent_dim": 3,
+    "inverse_dynamics_values.model.hidden_sizes": (5, 4),
+    "inverse_dynamics_values.model.latent_dim": 3,
+}
+INVERSE = InverseDynamicsConfig(hidden_sizes=(5, 4), latent_dim=3)
 
 
 def _preset(name: str, **changes):
     learner = presets.load(name)
     names = [term.name for term in learner.terms]
-    small = SMALL_DYNAMICS if "outcome" in names else {}
+    small = {field: value for field, value in SMALL_TERMS.items() if field.partition(".")[0] in names}
     return config.replace(learner, {**tiny.SMALL, **small, **changes})
 
 
@@ -41,6 +65,10 @@ def _trained(learner, updates: int = 3):
         ("odaf-paper", {"outcome.weight": 0.0}, "odaf-paper-without-outcome"),
         ("odaf-pessimistic", {"ood.weight": 0.0}, "odaf"),
         ("odaf-pessimistic", {"outcome.weight": 0.0}, "odaf-pessimistic-without-outcome"),
+        ("edac", {"diversity.weight": 0.0}, "sac-n"),
+        ("rorl", {"policy_smoothing.weight": 0.0, "value_smoothing.weight": 0.0, "ood.weight": 0.0}, "sac-n"),
+        ("odaf-rorl", {"outcome.weight": 0.0}, "rorl"),
+        ("osr-10", {"inverse_dynamics.weight": 0.0}, "odaf-paper-without-outcome"),
     ],
 )
 def test_a_weight_of_zero_is_the_base_bit_for_bit(with_term, change, base):
@@ -51,13 +79,75 @@ def test_a_weight_of_zero_is_the_base_bit_for_bit(with_term, change, base):
     assert metrics.keys() == bare_metrics.keys()
 
 
+@pytest.mark.parametrize("name", ["edac", "odaf-rorl", "osr-10", "osr", "osr-v"])
+def test_the_relatives_train_compiled_and_move_both_networks(name):
+    state, metrics = _trained(_preset(name), updates=2)
+    start, _ = _trained(_preset(name), updates=0)
+    assert all(np.all(np.isfinite(values)) and values.shape == (2,) for values in metrics.values())
+    for term in presets.load(name).terms:
+        assert any(metric.startswith(f"{term.name}/") for metric in metrics), term.name
+    for part in ("actor", "critics"):
+        leaves = zip(jax.tree.leaves(getattr(state, part)), jax.tree.leaves(getattr(start, part)), strict=True)
+        assert all(not np.array_equal(ours, theirs) for ours, theirs in leaves), part
+    tiny.assert_same_bits(state.side, start.side)
+
+
+def _side(name: str):
+    """A side network with random parameters, for the terms that have one."""
+    if name == "outcome":
+        return tiny.dynamics_model(tiny.dynamics_config())
+    if name.startswith("inverse_dynamics"):
+        return tiny.filled(jax.eval_shape(lambda: untrained_inverse(INVERSE, jr.key(0), tiny.OBS_DIM, tiny.ACT_DIM)), 6)
+    return ()
+
+
+@functools.cache
 def _one_update(terms):
-    """State, metrics and noise of one update, op by op, with the given terms."""
+    """State and metrics of one update, op by op, with the given terms."""
     learner = EnsembleSAC(**tiny.SMALL, terms=terms)
     with tiny.exactly():
-        sides = {"outcome": tiny.dynamics_model(tiny.dynamics_config()), "ood": ()}
-        state = tiny.state_of(learner, side=tuple(sides[term.name] for term in terms))
+        state = tiny.state_of(learner, side=tuple(_side(term.name) for term in terms))
         return learner.update(state, tiny.batch(), jr.key(1))
+
+
+EACH = (
+    OODPessimism(num_actions=2, radius=0.1),
+    OutcomePenalty(weight=5.0, dynamics=tiny.dynamics_config()),
+    GradientDiversity(),
+    PolicySmoothing(weight=1.0, radius=0.1, num_draws=2),
+    ValueSmoothing(weight=1.0, radius=0.1, num_draws=2),
+    InverseDynamicsAlignment(model=INVERSE),
+    InverseDynamicsValues(num_actions=2, model=INVERSE),
+    Conservative(num_actions=2),
+)
+
+
+def test_every_term_there_is_stands_in_the_list():
+    assert {term.name for term in EACH} == set(TERMS)
+
+
+@pytest.mark.parametrize("term", EACH, ids=lambda term: term.name)
+def test_a_term_moves_what_it_says_and_leaves_the_rest_alone(term):
+    bare, bare_metrics = _one_update(())
+    state, metrics = _one_update((term,))
+    of_actor = ("actor", "slow_actor", "actor_optimiser")
+    of_critics = ("critics", "target_critics", "critic_optimiser")
+    assert term.acts_on_actor != term.acts_on_critics
+    moved, still = (of_actor, of_critics) if term.acts_on_actor else (of_critics, of_actor)
+    for name in (*still, "log_temperature", "temperature_optimiser"):
+        tiny.assert_same_bits(getattr(state, name), getattr(bare, name))
+    for name in moved:
+        leaves = zip(jax.tree.leaves(getattr(state, name)), jax.tree.leaves(getattr(bare, name)), strict=True)
+        assert any(not np.array_equal(ours, theirs) for ours, theirs in leaves), name
+    assert {name: metrics[name] for name in bare_metrics} == bare_metrics
+    assert all(name.startswith(f"{term.name}/") for name in metrics.keys() - bare_metrics.keys())
+
+
+def test_all_terms_together_leave_each_others_numbers_alone():
+    _, metrics = _one_update(EACH)
+    for term in EACH:
+        _, own = _one_update((term,))
+        assert {name: metrics[name] for name in own} == own
 
 
 def test_terms_leave_each_others_and_the_bases_numbers_alone():

@@ -88,6 +88,20 @@ def test_train_with_other_settings_into_the_same_directory_is_refused(
     assert "discount" in capsys.readouterr().err
 
 
+def test_a_task_gives_the_defaults_and_options_change_them(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    taken = []
+    monkeypatch.setattr("odaf.cli.train.train", lambda preset, algorithm, options: taken.append(algorithm))
+    words = ["train", "edac", "--data", "log.h5", "--out", "run"]
+    for more in ([], ["--task", "hopper-medium"], ["--task=walker2d-medium-expert", "--num-critics", "4"]):
+        main([*words, *more])
+    assert [learner.num_critics for learner in taken] == [10, 50, 4]
+    assert [learner.terms[0].weight for learner in taken] == [1.0, 1.0, 5.0]
+    assert main([*words, "--task", "ant"]) == 2
+    assert "no values for the task 'ant'; known: halfcheetah-random" in capsys.readouterr().err
+
+
 def test_resume_makes_a_run_longer(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     out = tmp_path / "run"
     words = ["train", "behaviour-cloning", "--data", str(data), "--out", str(out), "--evaluate-every", "0"]

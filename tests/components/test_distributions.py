@@ -10,7 +10,11 @@ from hypothesis.extra import numpy as hnp
 from scipy import integrate, stats
 
 from golden import networks, tiny
-from odaf.components.distributions import sample_tanh_gaussian
+from odaf.components.distributions import (
+    gaussian_divergence,
+    sample_tanh_gaussian,
+    symmetric_gaussian_divergence,
+)
 from odaf.components.policies import GaussianActor, init_deterministic_actor, init_gaussian_actor
 
 draw = jax.jit(sample_tanh_gaussian)
@@ -99,3 +103,21 @@ def test_actions_stay_in_bounds_for_any_finite_state(states, noise):
     for found in (actions, mode, cloned):
         assert np.all(np.abs(np.asarray(found)) <= 1.0)
     assert np.all(np.isfinite(np.asarray(log_density)))
+
+
+def test_divergences_of_normals_are_integrals_of_their_definition():
+    with tiny.exactly():
+        x = np.linspace(-15.0, 15.0, 20001)
+        for m, r, n, k in ((0.3, -0.5, -0.4, 0.2), (1.0, 0.4, 1.0, 0.4), (-1.0, -1.0, 0.5, -0.3)):
+            log_p, log_q = stats.norm.logpdf(x, m, np.exp(r)), stats.norm.logpdf(x, n, np.exp(k))
+            forth = integrate.trapezoid(np.exp(log_p) * (log_p - log_q), x)
+            back = integrate.trapezoid(np.exp(log_q) * (log_q - log_p), x)
+            numbers = [tiny.floats([[v]]) for v in (m, r, n, k)]
+            assert abs(float(gaussian_divergence(*numbers)[0, 0]) - forth) < 1e-9
+            assert abs(float(symmetric_gaussian_divergence(*numbers)[0, 0]) - (forth + back)) < 1e-9
+
+
+def test_the_divergence_of_close_normals_keeps_its_digits_in_single_precision():
+    numbers = [tiny.floats([[v]]) for v in (0.5, -1.0, 0.5 + 2.0**-12, -1.0 + 2.0**-12)]
+    exact = 2.0 * np.sinh(2.0**-12) ** 2 + 2.0**-25 * (np.exp(2.0) + np.exp(2.0 - 2.0**-11))
+    assert abs(float(symmetric_gaussian_divergence(*numbers)[0, 0]) / exact - 1.0) < 1e-5

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from golden import tiny
-from odaf.components.dynamics import DynamicsConfig, fit, fit_dynamics, untrained
+from odaf.components.dynamics import DynamicsConfig, fit_dynamics, untrained
+from odaf.components.pretraining import split_rows
 from odaf.data.dataset import Dataset
 from odaf.data.normalisation import Normaliser
 from odaf.errors import ConfigError, DatasetError, DivergenceError
@@ -49,6 +50,10 @@ def _dataset() -> Dataset:
     return tiny.linear_dataset()
 
 
+def _split(dataset: Dataset, share: float, key: jax.Array):
+    return split_rows(dataset, share, key, "dynamics model", "leave it out")
+
+
 def _fitted(config: DynamicsConfig, dataset: Dataset | None = None, key: int = 0, calls: list | None = None):
     dataset = _dataset() if dataset is None else dataset
     calls = [] if calls is None else calls
@@ -76,7 +81,7 @@ def test_a_linear_system_is_learnt_far_better_than_no_change(name):
     # the scaling of outputs is measured on the training rows, not learnt
     dataset, normaliser = _dataset(), Normaliser.fit(_dataset().observations)
     if config.residual:
-        train, _ = fit._split_rows(dataset, config.holdout, jr.split(jr.key(0), 4)[0])
+        train, _ = _split(dataset, config.holdout, jr.split(jr.key(0), 4)[0])
         before, after = (normaliser.normalise(c[train]) for c in (dataset.observations, dataset.next_observations))
         change = after - before
         np.testing.assert_allclose(model.shift, change.mean(axis=0), atol=1e-6)
@@ -90,7 +95,7 @@ def test_the_reported_error_is_the_models_error_on_episodes_it_never_saw():
     config = dataclasses.replace(CONFIGS["deterministic"], steps=20)
     dataset, normaliser = _dataset(), Normaliser.fit(_dataset().observations)
     model, report = _fitted(config)
-    train, holdout = fit._split_rows(dataset, config.holdout, jr.split(jr.key(0), 4)[0])
+    train, holdout = _split(dataset, config.holdout, jr.split(jr.key(0), 4)[0])
     assert len(holdout) == 25 and len(np.unique(holdout // 25)) == 1, "one whole episode"
     assert sorted([*train, *holdout]) == list(range(len(dataset)))
     states, after = (normaliser.normalise(c[holdout]) for c in (dataset.observations, dataset.next_observations))
@@ -139,9 +144,9 @@ def _ends(terminated: list[bool], truncated: list[bool], placeholder: bool = Tru
 
 def test_rows_without_a_logged_successor_teach_nothing():
     ends = [False, True] * 10
-    train, holdout = fit._split_rows(_ends(ends, [False] * 20), 0.2, jr.key(0))
+    train, holdout = _split(_ends(ends, [False] * 20), 0.2, jr.key(0))
     assert sorted([*train, *holdout]) == list(range(0, 20, 2)), "the true ends repeat their own state"
-    train, holdout = fit._split_rows(_ends(ends, [False] * 20, placeholder=False), 0.2, jr.key(0))
+    train, holdout = _split(_ends(ends, [False] * 20, placeholder=False), 0.2, jr.key(0))
     assert sorted([*train, *holdout]) == list(range(20)), "true ends whose successor is known are kept"
 
 
@@ -149,13 +154,13 @@ def test_rows_without_a_logged_successor_teach_nothing():
 def test_each_side_gets_whole_episodes_and_at_least_one(episodes, share, held):
     length = 4
     ends = [row % length == length - 1 for row in range(episodes * length)]
-    train, holdout = fit._split_rows(_ends([False] * len(ends), ends), share, jr.key(1))
+    train, holdout = _split(_ends([False] * len(ends), ends), share, jr.key(1))
     assert len(holdout) == held * length and len(train) == (episodes - held) * length
     assert not set(train // length) & set(holdout // length)
 
 
 def test_a_single_episode_is_cut_in_time():
-    train, holdout = fit._split_rows(_ends([False] * 20, [False] * 19 + [True]), 0.25, jr.key(0))
+    train, holdout = _split(_ends([False] * 20, [False] * 19 + [True]), 0.25, jr.key(0))
     assert list(train) == list(range(15)) and list(holdout) == list(range(15, 20))
 
 

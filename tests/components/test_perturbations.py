@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from odaf.components.perturbations import draw_offsets, signed_ascent
+from odaf.components.perturbations import draw_offsets, signed_ascent, worst_offsets
 
 draw = jax.jit(draw_offsets, static_argnames=("draws", "rows", "obs_dim", "radius", "shared", "include_centre"))
 
@@ -72,3 +72,10 @@ def test_more_steps_find_a_maximum_inside_the_box():
 
     reached = [float(value) for value in climb()]
     assert reached[1] > -(2 * 0.01**2) > reached[0], "one long step overshoots; twenty end within a step of the top"
+
+
+def test_each_row_gets_the_first_of_its_best_draws():
+    offsets = jnp.asarray(np.array([[[1.0], [5.0], [2.0]], [[3.0], [-1.0], [2.0]], [[2.0], [0.0], [-2.0]]]))
+    found, slope = jax.value_and_grad(lambda o: jnp.sum(worst_offsets(lambda row: row[:, 0] + 0.0, o) ** 2))(offsets)
+    assert float(found) == 9.0 + 25.0 + 4.0
+    assert not np.any(slope), "a choice has no gradient"

@@ -1,6 +1,7 @@
 """`odaf train PRESET`: learn policies from a data set; every field of the preset is an option."""
 
 import dataclasses
+import itertools
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -26,6 +27,8 @@ class RunOptions:
     """Data set to learn from: a file of `odaf data generate`, or one in the D4RL layout."""
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
     """Directory for everything the run leaves behind; the same command again continues the run in it."""
+    task: Annotated[str | None, tyro.conf.arg(metavar="TASK")] = None
+    """Take the preset's values for this task, as in hopper-medium; the defaults of this page are then that task's."""
     steps: int = 20_000
     """Updates for each seed."""
     seeds: tuple[int, ...] = (0,)
@@ -49,9 +52,19 @@ def run(arguments: list[str]) -> None:
     if not arguments or arguments[0].startswith("-"):
         return _without_preset(arguments)
     preset, rest = arguments[0], arguments[1:]
-    algorithm = presets.load(preset)
+    algorithm = presets.load(preset, task=_task(rest))
     options: Any = parse(_options(preset, algorithm), rest, f"train {preset}")
     return train(preset, with_settings(algorithm, options.settings), options.run)
+
+
+def _task(arguments: list[str]) -> str | None:
+    """What follows --task: it must be known before the options are read, since their defaults depend on it."""
+    for word, following in itertools.zip_longest(arguments, arguments[1:]):
+        if word == "--task":
+            return following
+        if word.startswith("--task="):
+            return word.removeprefix("--task=")
+    return None
 
 
 def train(preset: str, algorithm: Any, options: RunOptions) -> None:

@@ -41,3 +41,30 @@ def sample_tanh_gaussian(
     log_density = -0.5 * (jnp.square(noise) + LOG_TWO_PI) - log_std
     correction = jnp.log(1.0 - jnp.square(action) + SQUASH_EPSILON)
     return action, jnp.sum(log_density - correction, axis=-1)
+
+
+def gaussian_divergence(
+    mean: Float[Array, "*rows act_dim"],
+    log_std: Float[Array, "*rows act_dim"],
+    other_mean: Float[Array, "*rows act_dim"],
+    other_log_std: Float[Array, "*rows act_dim"],
+) -> Float[Array, "*rows act_dim"]:
+    """KL( N(mean, std^2) || N(other_mean, other_std^2) ) of every dimension, in nats; not summed."""
+    gap = log_std - other_log_std
+    distance = (mean - other_mean) * jnp.exp(-other_log_std)
+    return 0.5 * (jnp.expm1(2.0 * gap) + jnp.square(distance)) - gap
+
+
+def symmetric_gaussian_divergence(
+    mean: Float[Array, "*rows act_dim"],
+    log_std: Float[Array, "*rows act_dim"],
+    other_mean: Float[Array, "*rows act_dim"],
+    other_log_std: Float[Array, "*rows act_dim"],
+) -> Float[Array, "*rows act_dim"]:
+    """KL in one direction plus KL in the other, of every dimension, in nats; not summed.
+
+    The logarithms cancel, which leaves 2 sinh(l - l')^2 + (m - m')^2 (1 / std^2 + 1 / std'^2) / 2: exact for close
+    Gaussians too, where a sum of two divergences would be rounding errors.
+    """
+    precisions = jnp.exp(-2.0 * log_std) + jnp.exp(-2.0 * other_log_std)
+    return 2.0 * jnp.square(jnp.sinh(log_std - other_log_std)) + 0.5 * jnp.square(mean - other_mean) * precisions

@@ -51,3 +51,22 @@ def signed_ascent(
     for _ in range(steps):
         offsets = jnp.clip(offsets + length * jnp.sign(gradient(offsets)), -radius, radius)
     return jax.lax.stop_gradient(offsets)
+
+
+def worst_offsets(objective: Objective, offsets: Float[Array, "draws rows obs_dim"]) -> Float[Array, "rows obs_dim"]:
+    """For every row, the one of its draws with the largest objective.
+
+    The gradient of a maximum over draws is the gradient at the draw that attains it. So draws are judged without
+    gradients, one at a time so that the activations of a pass stay in the cache, and only the winner needs a backward
+    pass.
+
+    Args:
+        objective: maps one offset a row to one value a row; rows must not interact.
+        offsets: candidates.
+
+    Returns:
+        Offsets without gradient; of equal ones the first.
+    """
+    scores = jax.lax.map(objective, offsets)
+    best = jnp.argmax(scores, axis=0)
+    return jax.lax.stop_gradient(offsets[best, jnp.arange(offsets.shape[1])])

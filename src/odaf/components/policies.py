@@ -36,6 +36,14 @@ class GaussianActor(eqx.Module):
         return jnp.tanh(mean)
 
 
+def draw_actions(
+    actor: GaussianActor, observations: Float[Array, "rows obs_dim"], noise: Float[Array, "draws rows act_dim"]
+) -> tuple[Float[Array, "draws rows act_dim"], Float[Array, "draws rows"]]:
+    """Several actions a state and their log-densities, from one pass through the actor."""
+    mean, log_std = (jnp.broadcast_to(part[None], noise.shape) for part in actor.parameters(observations))
+    return sample_tanh_gaussian(mean, log_std, noise)
+
+
 class DeterministicActor(eqx.Module):
     """mu(s) = tanh(MLP(s))."""
 

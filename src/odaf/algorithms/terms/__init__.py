@@ -2,7 +2,25 @@
 
 from odaf.algorithms.terms.base import Context as Context
 from odaf.algorithms.terms.base import Term as Term
+from odaf.algorithms.terms.conservative import Conservative as Conservative
+from odaf.algorithms.terms.gradient_diversity import GradientDiversity as GradientDiversity
+from odaf.algorithms.terms.inverse_dynamics_alignment import InverseDynamicsAlignment as InverseDynamicsAlignment
+from odaf.algorithms.terms.inverse_dynamics_values import InverseDynamicsValues as InverseDynamicsValues
 from odaf.algorithms.terms.ood_pessimism import OODPessimism as OODPessimism
 from odaf.algorithms.terms.outcome_penalty import OutcomePenalty as OutcomePenalty
+from odaf.algorithms.terms.policy_smoothing import PolicySmoothing as PolicySmoothing
+from odaf.algorithms.terms.value_smoothing import ValueSmoothing as ValueSmoothing
 
-TERMS: dict[str, type[Term]] = {term.name: term for term in (OutcomePenalty, OODPessimism)}
+TERMS: dict[str, type[Term]] = {
+    term.name: term
+    for term in (
+        OutcomePenalty,
+        OODPessimism,
+        GradientDiversity,
+        PolicySmoothing,
+        ValueSmoothing,
+        InverseDynamicsAlignment,
+        InverseDynamicsValues,
+        Conservative,
+    )
+}

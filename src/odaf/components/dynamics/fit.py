@@ -1,6 +1,5 @@
 """Pre-training of a dynamics model, with its error on episodes it never saw."""
 
-from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -8,19 +7,15 @@ import jax
 import jax.numpy as jnp
 import jax.random as jr
 import numpy as np
-import optax
-from jaxtyping import Array, PRNGKeyArray
+from jaxtyping import PRNGKeyArray
 
 from odaf.components.dynamics.base import DynamicsConfig, DynamicsModel
 from odaf.components.dynamics.build import untrained
+from odaf.components.pretraining import Progress, minimise, normalised_rows, split_rows
 from odaf.data.dataset import Dataset
 from odaf.data.normalisation import Normaliser
-from odaf.errors import DatasetError, DivergenceError
 
-STRETCH = 1_000
 HOLDOUT_ROWS = 20_000
-
-Progress = Callable[[int, int], None]
 
 
 def fit_dynamics(
@@ -44,87 +39,34 @@ def fit_dynamics(
         DatasetError: the log has fewer than two rows whose successor is known.
     """
     key_split, key_init, key_bootstrap, key_train = jr.split(key, 4)
-    train, holdout = _split_rows(dataset, config.holdout, key_split)
-    rows = _normalised_rows(dataset, normaliser, train)
-    check = _normalised_rows(dataset, normaliser, holdout)
+    train, holdout = split_rows(
+        dataset, config.holdout, key_split, "dynamics model", "leave out the outcome term (outcome.weight=0)"
+    )
+    rows = normalised_rows(dataset, normaliser, train)
+    check = normalised_rows(dataset, normaliser, holdout)
 
     model = untrained(config, key_init, dataset.obs_dim, dataset.act_dim, members=config.members)
     model = _with_output_scaling(model, rows)
     table = None
     if model.bootstraps is not None:  # each member's sample with replacement, drawn once
         table = jr.randint(key_bootstrap, (model.bootstraps, len(train)), 0, len(train))
-
-    rate = (
-        optax.cosine_decay_schedule(config.learning_rate, config.steps)
-        if config.schedule == "cosine"
-        else (config.learning_rate)
+    model, training_loss = minimise(
+        model,
+        lambda model, batch, key: model.loss(*batch, key),
+        rows,
+        trainable=_trainable(model),
+        steps=config.steps,
+        batch_size=config.batch_size,
+        learning_rate=config.learning_rate,
+        schedule=config.schedule,
+        key=key_train,
+        progress=progress,
+        what=f"dynamics model ({config.kind})",
+        remedy="lower dynamics.learning_rate or check the log for outliers with `odaf data info`",
+        bootstraps=table,
     )
-    optimiser = optax.adam(rate)
-    moments = optimiser.init(_trainable(model)[0])
-
-    @eqx.filter_jit(donate="all-except-first")
-    def stretch(data, model, moments, steps) -> Any:
-        def step(carry, index):
-            model, moments = carry
-            key_draw, key_loss = jr.split(jr.fold_in(key_train, index))
-            shape = (config.batch_size,) if table is None else (table.shape[0], config.batch_size)
-            picked = jr.randint(key_draw, shape, 0, data[0].shape[0])
-            if table is not None:
-                picked = jnp.take_along_axis(table, picked, axis=1)
-            batch = tuple(column[picked] for column in data)
-            parameters, rest = _trainable(model)
-            value, gradient = jax.value_and_grad(lambda p: eqx.combine(p, rest).loss(*batch, key_loss))(parameters)
-            updates, moments = optimiser.update(gradient, moments, parameters)
-            return (eqx.combine(optax.apply_updates(parameters, updates), rest), moments), value
-
-        return jax.lax.scan(step, (model, moments), steps)
-
-    done, training_loss = 0, float("nan")
-    while done < config.steps:
-        count = min(STRETCH, config.steps - done)
-        (model, moments), losses = stretch(rows, model, moments, jnp.arange(done, done + count))
-        done += count
-        training_loss = float(jnp.mean(losses))
-        if not np.isfinite(float(losses[-1])):
-            raise DivergenceError(
-                f"dynamics model ({config.kind}): the training loss is not finite after {done} steps; "
-                "lower dynamics.learning_rate or check the log for outliers with `odaf data info`"
-            )
-        progress(done, config.steps)
-
     model = model.finished(*check, config.elites)
     return model, _report(config, model, check, training_loss)
-
-
-def _split_rows(dataset: Dataset, share: float, key: PRNGKeyArray) -> tuple[np.ndarray, np.ndarray]:
-    """Row indices of the training and hold-out episodes, at least one on each side; a single episode is cut in time."""
-    # a terminated row without a recorded successor repeats its own state; it would teach "no change"
-    known = ~(dataset.terminated & np.all(dataset.observations == dataset.next_observations, axis=1))
-    rows_by_episode = np.split(np.arange(len(dataset)), dataset.episode_starts[1:])
-    usable = [rows[known[rows]] for rows in rows_by_episode if np.any(known[rows])]
-    if sum(len(rows) for rows in usable) < 2:
-        raise DatasetError(
-            f"dynamics model: of {len(dataset):,} rows {int(known.sum())} have a logged successor; at least 2 must; "
-            "log the state after each action (next_observations), or leave out the outcome term (outcome.weight=0)"
-        )
-    if len(usable) == 1:
-        rows = usable[0]
-        cut = min(max(1, int(len(rows) * (1.0 - share))), len(rows) - 1)
-        return rows[:cut], rows[cut:]
-    order = np.asarray(jr.permutation(key, len(usable)))
-    count = min(max(1, round(share * len(usable))), len(usable) - 1)
-    train, holdout = ([usable[index] for index in np.sort(side)] for side in (order[count:], order[:count]))
-    return np.concatenate(train), np.concatenate(holdout)
-
-
-def _normalised_rows(dataset: Dataset, normaliser: Normaliser, rows: np.ndarray) -> tuple[Array, Array, Array]:
-    low, high = dataset.action_low, dataset.action_high
-    actions = 2.0 * (dataset.actions[rows] - low) / (high - low) - 1.0
-    return (
-        jnp.asarray(normaliser.normalise(dataset.observations[rows]), dtype=jnp.float32),
-        jnp.asarray(actions, dtype=jnp.float32),
-        jnp.asarray(normaliser.normalise(dataset.next_observations[rows]), dtype=jnp.float32),
-    )
 
 
 def _with_output_scaling(model: DynamicsModel, rows) -> DynamicsModel:
@@ -136,11 +78,10 @@ def _with_output_scaling(model: DynamicsModel, rows) -> DynamicsModel:
     return eqx.tree_at(lambda m: (m.shift, m.scale), model, (jnp.mean(change, axis=0), spread))
 
 
-def _trainable(model: DynamicsModel):
-    """Parameters on one side, the fixed scaling on the other."""
+def _trainable(model: DynamicsModel) -> DynamicsModel:
+    """Which leaves training moves: the parameters, not the fixed scaling."""
     mask = jax.tree.map(eqx.is_inexact_array, model)
-    mask = eqx.tree_at(lambda m: (m.shift, m.scale), mask, (False, False))
-    return eqx.partition(model, mask)
+    return eqx.tree_at(lambda m: (m.shift, m.scale), mask, (False, False))
 
 
 def _report(config: DynamicsConfig, model: DynamicsModel, check, training_loss: float) -> dict[str, Any]:

@@ -1,4 +1,8 @@
-"""Tuned settings as data files, one TOML file a preset; this package only finds and reads them."""
+"""Tuned settings as data files; this package only finds and reads them.
+
+A preset is a TOML file here. `tasks/PRESET.toml` holds what differs by task: a table for each task with fields of the
+learner, and a term's fields under the term's name. A preset has the tasks of the preset that it extends as well.
+"""
 
 import tomllib
 from collections.abc import Mapping
@@ -30,18 +34,28 @@ def settings(name: str) -> dict[str, Any]:
     return merged | ({"terms": list(terms.values())} if terms or "terms" in base else {})
 
 
-def load(name: str, overrides: Mapping[str, Any] | None = None) -> Any:
+def tasks(name: str) -> dict[str, dict[str, Any]]:
+    """What a preset changes for each task that it knows, by dotted name; loads no array library.
+
+    Raises:
+        ConfigError: there is no such preset; the message lists those that exist.
+    """
+    return {task: dotted(changes) for task, changes in _tasks(name).items()}
+
+
+def load(name: str, overrides: Mapping[str, Any] | None = None, *, task: str | None = None) -> Any:
     """The learner a preset describes.
 
     Args:
         name: one of `names()`.
         overrides: fields to change, by dotted name, as in {"num_critics": 4, "outcome.weight": 1.0}.
+        task: one of `tasks(name)`, whose values replace the preset's; None takes the preset as it is.
 
     Returns:
         A frozen learner, ready for `odaf.fit`.
 
     Raises:
-        ConfigError: unknown preset, field or value.
+        ConfigError: unknown preset, task, field or value.
     """
     from odaf.algorithms import config  # loads JAX; listing presets must not
 
@@ -49,7 +63,26 @@ def load(name: str, overrides: Mapping[str, Any] | None = None) -> Any:
     for key in ("description", "source"):
         fields.pop(key, None)
     algorithm = config.from_dict(fields, f"preset {name}")
+    if task is not None:
+        known = tasks(name)
+        if task not in known:
+            raise ConfigError(
+                f"preset {name} has no values for the task {task!r}; known: {', '.join(known) or 'none'}. "
+                "Leave the task out to take the preset as it is"
+            )
+        algorithm = config.replace(algorithm, known[task], f"preset {name}, task {task}")
     return config.replace(algorithm, overrides, f"preset {name}") if overrides else algorithm
+
+
+def dotted(fields: Mapping[str, Any], before: str = "") -> dict[str, Any]:
+    """Tables inside tables as one level of dotted names."""
+    flat: dict[str, Any] = {}
+    for name, value in fields.items():
+        if isinstance(value, Mapping):
+            flat |= dotted(value, f"{before}{name}.")
+        else:
+            flat[f"{before}{name}"] = value
+    return flat
 
 
 def _files() -> list[str]:
@@ -64,6 +97,23 @@ def _read(name: str) -> dict[str, Any]:
     if name not in _files():
         raise ConfigError(f"preset {name!r} does not exist; known: {', '.join(_files())}")
     return tomllib.loads(resources.files(__name__).joinpath(f"{name}.toml").read_text(encoding="utf-8"))
+
+
+def _tasks(name: str) -> dict[str, dict[str, Any]]:
+    """The tables of the preset that this one extends, without the terms that it drops, and its own over them."""
+    preset = _read(name)
+    inherited = _tasks(preset["extends"]) if "extends" in preset else {}
+    dropped = preset.get("without", [])
+    tables = {
+        task: {key: value for key, value in changes.items() if key not in dropped}
+        for task, changes in inherited.items()
+    }
+    return tables | {task: _merged(tables.get(task, {}), changes) for task, changes in _task_file(name).items()}
+
+
+def _task_file(name: str) -> dict[str, dict[str, Any]]:
+    file = resources.files(__name__).joinpath("tasks", f"{name}.toml")
+    return tomllib.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
 
 
 def _merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
