@@ -12,8 +12,8 @@ candidates in this box, climbs from each of them along the gradient for some ste
 By sampling: the best of 50 draws, for the two that ask the critics also of delta = 0. First order: 1 draw and 10 steps.
 Mixed order: the best of 20 draws with 10 steps each. The critics are those of the attacked learner itself.
 
-Source: Yang et al. 2022 (RORL), section 5, and its code, which tries one observation at a time; here every row has its
-own draws. A constant factor of the code's objectives is left out; it moves neither the best candidate nor a step.
+Source: Yang et al. 2022 (RORL) and its code, which attacks one observation at a time; here every row has its own
+draws. A constant factor of the code's objectives is left out; it moves neither the best candidate nor a step.
 """
 
 from collections.abc import Callable
@@ -231,7 +231,8 @@ class AttackedPolicy:
 
     def __init__(self, policy: Policy, attack: Attack, budget: float, key: PRNGKeyArray, rule: StepRule = "pgd"):
         self.policy = policy
-        self._attack, self._rule, self._key, self._calls = attack, rule, key, 0
+        self._attack, self._key, self._calls = attack, key, 0
+        self._rule: StepRule = rule
         self._victim = victim_of(policy, attack)
         self._std, self._budget = jnp.asarray(policy.normaliser.std), jnp.asarray(budget, jnp.float32)
 
