@@ -69,23 +69,25 @@ class AttackCurve:
         width = self.budgets[-1] - self.budgets[0]
         return t_interval(np.trapezoid(by_seed, self.budgets, axis=0) / width)
 
+    def normalised_area(self) -> Estimate | None:
+        """The same as a normalised score; None where the environment has no reference returns."""
+        area, reference = self.area(), None if self.environment is None else reference_of(self.environment)
+        return None if area is None or reference is None else reference.normalise_estimate(area)
+
     def to_dict(self) -> dict[str, Any]:
         """JSON types: every budget with its scores, the area, and how fast it was played."""
-        area, reference = self.area(), None if self.environment is None else reference_of(self.environment)
         entries = []
         for place, (budget, scores) in enumerate(zip(self.budgets, self.scores, strict=True)):
             entry: dict[str, Any] = {"eps": budget, **scores.to_dict()}
             if self.normalised is not None:
                 entry["normalised"]["interval"] = [self.normalised[place].low, self.normalised[place].high]
             entries.append(entry)
-        areas: dict[str, Any] = {} if area is None else {"area": _plain(area)}
-        if area is not None and reference is not None:
-            areas["normalised_area"] = _plain(reference.normalise_estimate(area))
+        areas = {"area": self.area(), "normalised_area": self.normalised_area()}
         return {
             "attack": self.attack,
             "attack_steps": self.rule,
             "budgets": entries,
-            **areas,
+            **{name: _plain(area) for name, area in areas.items() if area is not None},
             "environment_steps": self.environment_steps,
             "environment_steps_per_second": self.environment_steps / self.seconds,
         }
@@ -141,8 +143,9 @@ def attack_curve(
         for budget in ascending:
             found = {}
             for policy_seed, policy in policies.items():
-                attacked = AttackedPolicy(policy, chosen, budget, jr.key(seed), rule)
-                found[policy_seed] = rollout_in(attacked, environments, seed, limit)
+                # An empty box leaves nothing to look for; an attack on it gives the same bits.
+                shown = AttackedPolicy(policy, chosen, budget, jr.key(seed), rule) if budget else policy
+                found[policy_seed] = rollout_in(shown, environments, seed, limit)
             played += sum(int(episodes.lengths.sum()) for episodes in found.values())
             scores.append(trial.scores(found))
     finally:

@@ -128,6 +128,8 @@ def knock_scores(
     make_env = partial(_disturbed, build, knock, initial_noise, trial.run.normaliser.std, counted)
     played = {policy_seed: rollout(policy, make_env, episodes, seed) for policy_seed, policy in trial.policies()}
     recovery = None if ground is None else _recovery(ground, list(played.values()), knock)
+    if ground is not None and recovery is None:
+        reason = "no episode lasted until the knock"
     return KnockScores(knock, initial_noise, counted, trial.scores(played), recovery, reason)
 
 
