@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from odaf.data.checks import Report
-    from odaf.evaluation import Run, Scores
+    from odaf.evaluation import Estimate, Run, Scores
+    from odaf.experiments.evaluate_attacks import AttackCurve
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
@@ -62,6 +63,38 @@ def score_table(scores: "Scores") -> str:
         for score in scores.by_seed
     ]
     return table(header, rows)
+
+
+def estimated(estimate: "Estimate") -> str:
+    """A mean with its interval over seeds; alone where there is one seed."""
+    if estimate.count < 2:
+        return f"{number(estimate.mean)} (one seed)"
+    return (
+        f"{number(estimate.mean)}, {estimate.confidence:.0%} interval {_interval(estimate)} over {estimate.count} seeds"
+    )
+
+
+def attack_table(curve: "AttackCurve") -> str:
+    """One line for each budget, and the area under the curve."""
+    scores, normalised, area = curve.scores, curve.normalised, curve.area()
+    rates = sorted({rate for score in scores[0].by_seed for rate in score.rates})
+    header = ["eps", *(["normalised", "95 % interval"] if normalised else []), "mean return", "95 % interval"]
+    rows = []
+    for place, budget in enumerate(curve.budgets):
+        entries = [*([normalised[place]] if normalised else []), curve.returns[place]]
+        cells = [cell for entry in entries for cell in (number(entry.mean), _interval(entry))]
+        rows.append([f"{budget:g}", *cells, *(number(scores[place].rate(rate), 2) for rate in rates)])
+    text = table([*header, *(_words(rate) for rate in rates)], rows)
+    if area is None:
+        return text
+    text += f"\n\narea under the curve, divided by its width: {estimated(area)}"
+    if (score := curve.normalised_area()) is not None:
+        text += f"\n{curve.environment}: as a normalised score {estimated(score)}"
+    return text
+
+
+def _interval(estimate: "Estimate") -> str:
+    return "-" if estimate.count < 2 else f"{number(estimate.low)} to {number(estimate.high)}"
 
 
 def print_run(run: "Run") -> None:

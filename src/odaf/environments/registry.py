@@ -1,5 +1,6 @@
 """From a dataset's description of its environment to the environment itself."""
 
+import sys
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -45,6 +46,23 @@ def make(environment: Mapping[str, Any]) -> "Callable[[], gymnasium.Env]":
             raise ConfigError(f"environment '{identity}': gymnasium does not know it ({error})") from error
         return lambda: gymnasium.make(identity, **kwargs)
     raise ConfigError(f"environment: name is {name!r}; known are 'pointmaze' and 'gymnasium'")
+
+
+def make_untimed(environment: Mapping[str, Any]) -> "tuple[Callable[[], gymnasium.Env], int | None]":
+    """As `make`, without the time limit, and that limit in steps; None where there is none.
+
+    True ends still end an episode. A limit that an environment keeps itself, inside its own `step`, stays.
+    """
+    if environment.get("name") == "pointmaze":
+        make(environment)  # judges the description as it was given
+        return make({**environment, "steps": sys.maxsize}), int(environment.get("steps", 200))
+    kwargs = dict(environment.get("kwargs") or {})
+    own = kwargs.pop("max_episode_steps", None)
+    build = make({**environment, "kwargs": {**kwargs, "max_episode_steps": -1}})
+    import gymnasium
+
+    limit = gymnasium.spec(environment["id"]).max_episode_steps if own is None else int(own)
+    return build, limit if limit is not None and limit > 0 else None
 
 
 def point_maze(maze: Maze, steps: int) -> "PointMaze":

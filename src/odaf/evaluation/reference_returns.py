@@ -7,8 +7,10 @@ in and keeps the raw return beside it.
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
+
+from odaf.evaluation.statistics import Estimate
 
 
 @dataclass(frozen=True)
@@ -21,6 +23,16 @@ class Reference:
     def normalise(self, raw_return: float) -> float:
         """100 (R - random) / (expert - random)."""
         return 100.0 * (raw_return - self.random) / (self.expert - self.random)
+
+    def normalise_estimate(self, estimate: Estimate) -> Estimate:
+        """Mean, spread and interval of returns as normalised scores."""
+        return replace(
+            estimate,
+            mean=self.normalise(estimate.mean),
+            std=100.0 * estimate.std / (self.expert - self.random),
+            low=self.normalise(estimate.low),
+            high=self.normalise(estimate.high),
+        )
 
     def raw(self, score: float) -> float:
         """Inverse of `normalise`."""

@@ -1,13 +1,72 @@
 """Measuring the policies of a run again: other episodes, another checkpoint, another environment."""
 
 import os
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from odaf.environments.registry import make
 from odaf.errors import ConfigError
-from odaf.evaluation.rollouts import Rollouts, rollout, summarise
+from odaf.evaluation.rollouts import Episodes, Rollouts, rollout, summarise
 from odaf.evaluation.scores import Scores, scores_from
+from odaf.training.policy import Policy
 from odaf.training.run_directory import RunDirectory
+
+
+@dataclass(frozen=True)
+class Trial:
+    """The policies of a run, and where and how often they are to be tried; nothing in the run's directory changes.
+
+    Attributes:
+        run: the run.
+        rollouts: the environment, described in full, with the number of episodes and their seed.
+        step: the checkpoint after so many updates; None takes each seed's last.
+    """
+
+    run: RunDirectory
+    rollouts: Rollouts
+    step: int | None
+
+    @classmethod
+    def of(
+        cls, directory: str | os.PathLike[str], *, episodes: int, seed: int, step: int | None, environment: str | None
+    ) -> "Trial":
+        """See `evaluate` for the arguments and what is raised."""
+        run = RunDirectory(Path(directory))
+        settings = run.config.get("evaluate") or {}
+        known = settings.get("environment") or run.data["environment"]
+        if environment is None and known is None:
+            raise ConfigError(
+                f"{run.path}: neither the run nor its data set names an environment to play in; "
+                "give one, as --env Hopper-v5"
+            )
+        rollouts = Rollouts(environment, episodes=episodes, seed=seed, max_steps=settings.get("max_steps"))
+        return cls(run, rollouts.resolved(known), step)
+
+    @property
+    def environment(self) -> Mapping[str, Any]:
+        """The full description, for `odaf.environments.make`."""
+        assert isinstance(self.rollouts.environment, Mapping)
+        return self.rollouts.environment
+
+    @property
+    def environment_id(self) -> str | None:
+        """Gymnasium's name of the environment, if it has one."""
+        return self.environment.get("id")
+
+    def policies(self) -> Iterator[tuple[int, Policy]]:
+        """Every training seed with what it had learned."""
+        for seed in self.run.seeds:
+            yield seed, self.run.policy(seed, self.run.checkpoint(seed, self.step).step)
+
+    def scores(self, played: Mapping[int, Episodes]) -> Scores:
+        """Scores of every seed from the episodes that its policy played."""
+        summaries = {
+            seed: {"evaluation": {"step": self.run.checkpoint(seed, self.step).step, **summarise(episodes).summary}}
+            for seed, episodes in played.items()
+        }
+        return scores_from(summaries, str(self.run.path), self.environment_id)
 
 
 def evaluate(
@@ -31,20 +90,10 @@ def evaluate(
         CheckpointError: there is no run, no such checkpoint, or a damaged one.
         ConfigError: no environment is known, or a number is out of range.
     """
-    run = RunDirectory(Path(directory))
-    settings = run.config.get("evaluate") or {}
-    known = settings.get("environment") or run.data["environment"]
-    if environment is None and known is None:
-        raise ConfigError(
-            f"{run.path}: neither the run nor its data set names an environment to play in; "
-            "give one, as --env Hopper-v5"
-        )
-    rollouts = Rollouts(environment, episodes=episodes, seed=seed, max_steps=settings.get("max_steps")).resolved(known)
-    assert isinstance(rollouts.environment, dict)
-    make_env = make(rollouts.environment)
-    summaries = {}
-    for policy_seed in run.seeds:
-        checkpoint = run.checkpoint(policy_seed, step)
-        found = rollout(run.policy(policy_seed, checkpoint.step), make_env, episodes, seed, rollouts.max_steps)
-        summaries[policy_seed] = {"evaluation": {"step": checkpoint.step, **summarise(found).summary}}
-    return scores_from(summaries, str(run.path), rollouts.environment.get("id"))
+    trial = Trial.of(directory, episodes=episodes, seed=seed, step=step, environment=environment)
+    make_env = make(trial.environment)
+    played = {
+        policy_seed: rollout(policy, make_env, episodes, seed, trial.rollouts.max_steps)
+        for policy_seed, policy in trial.policies()
+    }
+    return trial.scores(played)

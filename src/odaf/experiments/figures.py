@@ -1,10 +1,14 @@
 """Picture files for READMEs and result pages; the report draws the same things on its page."""
 
+import functools
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from odaf.errors import ConfigError
+from odaf.experiments.evaluate_attacks import AttackCurve
 from odaf.experiments.report.extras import check_extra
 from odaf.experiments.report.quantities import Curve
 from odaf.experiments.report.records import RunRecord, find_runs, read_run
@@ -112,6 +116,52 @@ def learning_curves_figure(
     return _write(figure, out)
 
 
+def check_attack_figure(out: Path) -> None:
+    """Passes where `attack_figure` can write `out`, so that nothing is measured in vain.
+
+    Raises:
+        ConfigError: the name does not end in .svg or .png, or the `report` extra is not installed.
+    """
+    if Path(out).suffix not in (".svg", ".png"):
+        raise ConfigError(f"{out}: a picture is written as SVG or PNG; let the name end in .svg or .png")
+    check_extra()
+
+
+def attack_figure(curve: AttackCurve, out: Path, name: str) -> Path:
+    """Writes an SVG or PNG of return against budget: the mean over seeds, their range, and each of them.
+
+    Args:
+        curve: what was measured; drawn as normalised scores where the environment has reference returns.
+        out: the file to write, by its ending; its folder is made when missing.
+        name: whose curve it is.
+
+    Returns:
+        `out`.
+
+    Raises:
+        ConfigError: as `check_attack_figure`.
+    """
+    check_attack_figure(out)
+    from matplotlib.figure import Figure
+    from matplotlib.ticker import MaxNLocator
+
+    from odaf.evaluation.reference_returns import reference_of
+    from odaf.experiments.report import drawing
+
+    reference = None if curve.environment is None else reference_of(curve.environment)
+    values = np.array([[score.mean_return for score in scores.by_seed] for scores in curve.scores]).T
+    if reference is not None:
+        values = np.vectorize(reference.normalise)(values)
+    figure = Figure(figsize=(6.4, 4.0), layout="constrained", facecolor="white")
+    axes = figure.add_subplot()
+    drawing.draw_curves(axes, drawing.LIGHT, [Curve(name, np.array(curve.budgets), values, None, 0)])
+    axes.xaxis.set_major_locator(MaxNLocator(nbins=7))
+    axes.set_xlabel("largest offset of an observation, in standard deviations of the log", fontsize=8)
+    axes.set_ylabel("mean return" if reference is None else f"normalised score, {curve.environment}", fontsize=8)
+    axes.set_title(f"{name} under {curve.attack}", fontsize=12, parse_math=False)
+    return _write(figure, out)
+
+
 def run_curves(run_directories: Sequence[Path]) -> tuple[list[Curve], list[tuple[str, float]]]:
     """Return curves of runs, and the logged best and mean as reference lines, for `learning_curves_figure`."""
     check_extra()
@@ -127,7 +177,13 @@ def _maze_legend(runs: Sequence[RunRecord]) -> str:
 
 
 def _write(figure: Any, out: Path) -> Path:
+    """By the ending of the name, SVG or PNG; equal figures give equal bytes."""
+    import matplotlib
+
     out = Path(out)
     out.parent.mkdir(parents=True, exist_ok=True)
-    write_atomically(out, lambda file: figure.savefig(file, format="png", dpi=RESOLUTION, metadata={"Software": None}))
+    kind, nothing = ("svg", "Date") if out.suffix == ".svg" else ("png", "Software")
+    save = functools.partial(figure.savefig, format=kind, dpi=RESOLUTION, metadata={nothing: None})
+    with matplotlib.rc_context({"svg.hashsalt": out.name, "svg.fonttype": "none"}):
+        write_atomically(out, save)
     return out

@@ -1,0 +1,263 @@
+"""Attacks on what a policy sees: offsets of its observation, small and chosen to do harm.
+
+Only the policy is deceived. It is given s + delta with |delta_i| <= budget * std_i, std being that of the logged
+observations, while the environment stays in s and the critics that an attack may ask are told s. An attack draws
+candidates in this box, climbs from each of them along the gradient for some steps, and keeps the most harmful one:
+
+    random        no objective, one draw
+    action-diff   largest  KL(pi(s) || pi(s + delta)) + KL(pi(s + delta) || pi(s))   of the Gaussians before the tanh
+    min-q         smallest mean_k Q_k(s, mu(s + delta))
+    min-q-std     largest  std_k  Q_k(s, mu(s + delta))
+
+By sampling: the best of 50 draws, for the two that ask the critics also of delta = 0. First order: 1 draw and 10 steps.
+Mixed order: the best of 20 draws with 10 steps each. The critics are those of the attacked learner itself.
+
+Source: Yang et al. 2022 (RORL) and its code, which attacks one observation at a time; here every row has its own
+draws. A constant factor of the code's objectives is left out; it moves neither the best candidate nor a step.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import jax.random as jr
+import numpy as np
+from jaxtyping import Array, Float, Int, PRNGKeyArray
+
+from odaf.algorithms.ensemble_sac import EnsembleSAC
+from odaf.components.critics import CriticEnsemble, disagreement
+from odaf.components.perturbations import draw_offsets
+from odaf.components.policies import GaussianActor
+from odaf.errors import ConfigError
+from odaf.training.policy import Policy
+
+StepRule = Literal["pgd", "rorl"]
+PGD_STEP, RORL_STEP = 0.2, 0.1
+ADAM_EPSILON = 1e-8
+
+Harm = Callable[[Float[Array, "draws rows obs_dim"]], Float[Array, "draws rows"]]
+
+
+@dataclass(frozen=True)
+class Attack:
+    """How an offset is looked for.
+
+    Attributes:
+        name: what users type.
+        objective: what is climbed; None takes a draw as it comes.
+        draws: uniform draws in the box for each row.
+        steps: gradient steps from each draw.
+        with_clean: whether delta = 0 is one more candidate.
+    """
+
+    name: str
+    objective: Literal["action-diff", "min-q", "min-q-std"] | None
+    draws: int
+    steps: int
+    with_clean: bool = False
+
+
+ATTACKS = {
+    attack.name: attack
+    for attack in (
+        Attack("random", None, draws=1, steps=0),
+        Attack("action-diff", "action-diff", draws=50, steps=0),
+        Attack("min-q", "min-q", draws=50, steps=0, with_clean=True),
+        Attack("min-q-std", "min-q-std", draws=50, steps=0, with_clean=True),
+        Attack("action-diff-first-order", "action-diff", draws=1, steps=10),
+        Attack("min-q-first-order", "min-q", draws=1, steps=10),
+        Attack("min-q-std-first-order", "min-q-std", draws=1, steps=10),
+        Attack("action-diff-mixed-order", "action-diff", draws=20, steps=10),
+        Attack("min-q-mixed-order", "min-q", draws=20, steps=10),
+        Attack("min-q-std-mixed-order", "min-q-std", draws=20, steps=10),
+    )
+}
+
+
+class Victim(eqx.Module):
+    """What an attacker knows: the deployed actor, the critics, and the learner's scale of observations."""
+
+    actor: GaussianActor
+    critics: CriticEnsemble
+    mean: Float[Array, " obs_dim"]
+    scale: Float[Array, " obs_dim"]
+
+    def gaussian(
+        self, observations: Float[Array, "rows obs_dim"]
+    ) -> tuple[Float[Array, "rows act_dim"], Float[Array, "rows act_dim"]]:
+        """Mean and log standard deviation before the tanh, for observations in the user's units."""
+        return self.actor.parameters(self._normalised(observations))
+
+    def values(
+        self, observations: Float[Array, "rows obs_dim"], actions: Float[Array, "rows act_dim"]
+    ) -> Float[Array, "critics rows"]:
+        """Q_k(s, a) for observations in the user's units and actions in [-1, 1]."""
+        return self.critics.as_constants(self._normalised(observations), actions)
+
+    def _normalised(self, observations: Float[Array, "rows obs_dim"]) -> Float[Array, "rows obs_dim"]:
+        return (observations - self.mean[None, :]) / self.scale[None, :]
+
+
+def victim_of(policy: Policy, attack: Attack) -> Victim | None:
+    """What the attack needs to know of a policy; None for an attack without an objective.
+
+    Raises:
+        ConfigError: the learner has no Gaussian policy with an ensemble of critics, which the objective asks for.
+    """
+    if attack.objective is None:
+        return None
+    learner = policy.algorithm
+    if not isinstance(learner, EnsembleSAC):
+        free = ", ".join(name for name, other in ATTACKS.items() if other.objective is None)
+        raise ConfigError(
+            f"attack '{attack.name}': needs a Gaussian policy and an ensemble of critics, and the learner "
+            f"'{learner.kind}' has none; attacks that work on every policy: {free}"
+        )
+    actor = policy.state.actor if learner.deployed_actor == "current" else policy.state.slow_actor
+    normaliser = policy.normaliser
+    return Victim(actor, policy.state.critics, jnp.asarray(normaliser.mean), jnp.asarray(normaliser.scale))
+
+
+def symmetric_kl(
+    mean: Float[Array, "*rows act_dim"],
+    log_std: Float[Array, "*rows act_dim"],
+    other_mean: Float[Array, "*rows act_dim"],
+    other_log_std: Float[Array, "*rows act_dim"],
+) -> Float[Array, "*rows"]:
+    """KL(p || q) + KL(q || p) of two diagonal Gaussians, summed over dimensions, in nats; the logarithms cancel."""
+    distance = jnp.square(mean - other_mean)
+    variance, other_variance = jnp.exp(2.0 * log_std), jnp.exp(2.0 * other_log_std)
+    there = (variance + distance) / (2.0 * other_variance)
+    back = (other_variance + distance) / (2.0 * variance)
+    return jnp.sum(there + back - 1.0, axis=-1)
+
+
+def harm_of(objective: str, victim: Victim, observations: Float[Array, "rows obs_dim"]) -> Harm:
+    """The objective of an attack at these observations: larger is worse for the policy. Rows do not interact."""
+    clean_mean, clean_log_std = victim.gaussian(observations)
+
+    def harm(offsets: Float[Array, "draws rows obs_dim"]) -> Float[Array, "draws rows"]:
+        draws, rows, obs_dim = offsets.shape
+        seen = (observations[None] + offsets).reshape(draws * rows, obs_dim)
+        mean, log_std = victim.gaussian(seen)
+        if objective == "action-diff":
+            clean = (jnp.tile(clean_mean, (draws, 1)), jnp.tile(clean_log_std, (draws, 1)))
+            return symmetric_kl(*clean, mean, log_std).reshape(draws, rows)
+        values = victim.values(jnp.tile(observations, (draws, 1)), jnp.tanh(mean))
+        found = -jnp.mean(values, axis=0) if objective == "min-q" else disagreement(values)
+        return found.reshape(draws, rows)
+
+    return harm
+
+
+def climb(
+    harm: Harm,
+    offsets: Float[Array, "draws rows obs_dim"],
+    box: Float[Array, " obs_dim"],
+    budget: Float[Array, ""],
+    steps: int,
+    rule: StepRule,
+) -> Float[Array, "draws rows obs_dim"]:
+    """Offsets after `steps` steps up the gradient, clipped to the box after each.
+
+    Args:
+        harm: one value for each draw and row, which do not interact.
+        offsets: starting points inside the box, in the user's units.
+        box: largest size of an offset in each dimension.
+        budget: the box in standard deviations.
+        steps: how many.
+        rule: "pgd" moves by 0.2 box times the sign of the gradient. "rorl" is the published code: the first step of a
+            fresh Adam at every step, 0.1 budget g / (|g| + 1e-8), in the units of the observation and blind to their
+            scale, so that wide dimensions are hardly explored and narrow ones go to an edge at once.
+    """
+    gradient_of = jax.grad(lambda candidate: jnp.sum(harm(candidate)))
+
+    def step(_: Int[Array, ""], current: Float[Array, "draws rows obs_dim"]) -> Float[Array, "draws rows obs_dim"]:
+        gradient = gradient_of(current)
+        if rule == "pgd":
+            move = PGD_STEP * box[None, None, :] * jnp.sign(gradient)
+        else:
+            move = RORL_STEP * budget * gradient / (jnp.abs(gradient) + ADAM_EPSILON)
+        return jnp.clip(current + move, -box[None, None, :], box[None, None, :])
+
+    return jax.lax.fori_loop(0, steps, step, offsets)
+
+
+def worst_offsets(
+    attack: Attack,
+    rule: StepRule,
+    victim: Victim | None,
+    observations: Float[Array, "rows obs_dim"],
+    std: Float[Array, " obs_dim"],
+    budget: Float[Array, ""],
+    key: PRNGKeyArray,
+) -> Float[Array, "rows obs_dim"]:
+    """The attack's offset for every row: |delta_i| <= budget * std_i, in the user's units. Pure and traceable.
+
+    Args:
+        attack: how to look for it.
+        rule: gradient steps of attacks that take any; see `climb`.
+        victim: whom to harm; None only for an attack without an objective.
+        observations: true observations in the user's units.
+        std: standard deviation of each dimension of the logged observations.
+        budget: size of the box in standard deviations.
+        key: random key.
+    """
+    rows, obs_dim = observations.shape
+    box = budget * std
+    candidates = attack.draws + int(attack.with_clean)
+    unit = draw_offsets(key, candidates, rows, obs_dim, 1.0, shared=False, include_centre=attack.with_clean)
+    offsets = unit * box[None, None, :]
+    if attack.objective is None or victim is None:
+        return offsets[0]
+    harm = harm_of(attack.objective, victim, observations)
+    if attack.steps:
+        offsets = climb(harm, offsets, box, budget, attack.steps, rule)
+    if candidates == 1:
+        return offsets[0]
+    best = jnp.argmax(harm(offsets), axis=0)
+    return jnp.take_along_axis(offsets, best[None, :, None], axis=0)[0]
+
+
+class AttackedPolicy:
+    """A policy that sees what an attack shows it; itself a policy, for `rollout`.
+
+    Every call is the next step of all episodes and has draws of its own, so one object plays one rollout. The attack is
+    compiled once for all calls, budgets and seeds of a learner with equally many rows.
+    """
+
+    def __init__(self, policy: Policy, attack: Attack, budget: float, key: PRNGKeyArray, rule: StepRule = "pgd"):
+        self.policy = policy
+        self._attack, self._key, self._calls = attack, key, 0
+        self._rule: StepRule = rule
+        self._victim = victim_of(policy, attack)
+        self._std, self._budget = jnp.asarray(policy.normaliser.std), jnp.asarray(budget, jnp.float32)
+
+    def __call__(self, observations: np.ndarray) -> np.ndarray:
+        """The policy's actions [rows, act_dim] at attacked observations [rows, obs_dim]."""
+        return self.policy(self.shown(observations))
+
+    def shown(self, observations: np.ndarray) -> np.ndarray:
+        """[rows, obs_dim] float32: what the policy is shown in place of the true observations at this call."""
+        true, calls = jnp.asarray(observations, jnp.float32), jnp.asarray(self._calls)
+        self._calls += 1
+        return np.asarray(
+            _shown(self._attack, self._rule, self._victim, true, self._std, self._budget, self._key, calls)
+        )
+
+
+@eqx.filter_jit
+def _shown(
+    attack: Attack,
+    rule: StepRule,
+    victim: Victim | None,
+    observations: Float[Array, "rows obs_dim"],
+    std: Float[Array, " obs_dim"],
+    budget: Float[Array, ""],
+    key: PRNGKeyArray,
+    calls: Int[Array, ""],
+) -> Float[Array, "rows obs_dim"]:
+    return observations + worst_offsets(attack, rule, victim, observations, std, budget, jr.fold_in(key, calls))

@@ -1,0 +1,266 @@
+"""Attacks whose worst offset is known by hand, and what holds for all of them."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import jax.random as jr
+import numpy as np
+import optax
+import pytest
+
+from golden import attacks as golden
+from golden.networks import mode, q_values, spread
+from odaf.algorithms.behaviour_cloning import BehaviourCloning
+from odaf.algorithms.ensemble_sac import EnsembleSAC
+from odaf.components.critics import CriticEnsemble
+from odaf.components.networks import MLP
+from odaf.components.perturbations import draw_offsets
+from odaf.components.policies import GaussianActor
+from odaf.data.normalisation import Normaliser
+from odaf.data.spec import Spec
+from odaf.errors import ConfigError
+from odaf.evaluation import attacks
+from odaf.evaluation.attacks import ATTACKS, AttackedPolicy, Victim, climb, harm_of, symmetric_kl, worst_offsets
+from odaf.training.policy import Policy
+
+OBS, ACT, ROWS = 3, 2, 4
+STD = jnp.asarray([0.5, 2.0, 0.0])  # one wide dimension, one that never moves
+MEAN = jnp.asarray([1.0, -2.0, 3.0])
+
+
+def _network(*layers: np.ndarray, bias: float = 0.0) -> MLP:
+    weights = tuple(jnp.asarray(layer, jnp.float32) for layer in layers)
+    biases = tuple(jnp.full((*layer.shape[:-2], layer.shape[-1]), bias, jnp.float32) for layer in layers)
+    return MLP(weights, biases, (), (), "silu")
+
+
+def _linear_victim(slopes=(0.3, -0.2, 0.9), critics=(1.0, 2.0)) -> Victim:
+    """mean(s) = slopes . s in one action dimension, log std 0; Q_k(s, a) = critics[k] * a."""
+    actor = GaussianActor(_network(np.stack([slopes, np.zeros(OBS)], axis=1)))
+    members = np.stack([np.array([[0.0]] * OBS + [[slope]]) for slope in critics])
+    return Victim(actor, CriticEnsemble(_network(members)), MEAN, STD + 1e-3)
+
+
+def _smooth_victim(seed=0) -> Victim:
+    rng = np.random.default_rng(seed)
+    actor = GaussianActor(_network(rng.normal(size=(OBS, 8)), rng.normal(size=(8, 2 * ACT)) / 3, bias=0.1))
+    critics = CriticEnsemble(_network(rng.normal(size=(3, OBS + ACT, 8)), rng.normal(size=(3, 8, 1)), bias=0.1))
+    return Victim(actor, critics, MEAN, STD + 1e-3)
+
+
+def _observations(seed=5) -> jax.Array:
+    noise = np.random.default_rng(seed).normal(size=(ROWS, OBS)).astype(np.float32)
+    return MEAN[None] + STD[None] * jnp.asarray(noise)
+
+
+@functools.partial(jax.jit, static_argnums=(0, 1))
+def _compiled(name, rule, victim, observations, budget, key):
+    return worst_offsets(ATTACKS[name], rule, victim, observations, STD, budget, key)
+
+
+def _worst(name, victim, observations, budget=0.1, rule="pgd", key=0) -> np.ndarray:
+    return np.asarray(_compiled(name, rule, victim, observations, jnp.float32(budget), jr.key(key)))
+
+
+def _harm(objective, victim, observations, offsets) -> np.ndarray:
+    return np.asarray(harm_of(objective, victim, observations)(jnp.asarray(offsets)[None]))[0]
+
+
+# ---- objectives ----------------------------------------------------------------------------------------------------
+
+
+def test_symmetric_kl_is_the_sum_of_both_divergences():
+    rng = np.random.default_rng(0)
+    given = [rng.normal(size=(5, ACT)).astype(np.float32) for _ in range(4)]
+    found = np.asarray(symmetric_kl(*map(jnp.asarray, given)))
+    expected = [golden.symmetric_kl(*(array[row] for array in given)) for row in range(5)]
+    np.testing.assert_allclose(found, expected, rtol=2e-5)
+    # Unit variances a distance 3 apart: half of 9 there, half of 9 back.
+    one = jnp.zeros((1, 1))
+    assert float(symmetric_kl(one, one, one + 3.0, one)[0]) == pytest.approx(9.0)
+
+
+@pytest.mark.parametrize("objective", ["action-diff", "min-q", "min-q-std"])
+def test_objectives_against_numpy(objective):
+    victim, observations = _smooth_victim(), _observations()
+    offsets = np.random.default_rng(1).normal(size=(ROWS, OBS)).astype(np.float32)
+    mean, scale = np.asarray(MEAN, np.float64), np.asarray(STD, np.float64) + 1e-3
+    clean = (np.asarray(observations, np.float64) - mean) / scale
+    seen = (np.asarray(observations, np.float64) + offsets - mean) / scale
+    if objective == "action-diff":
+        (m, s), (n, t) = golden.gaussian_log(victim.actor, clean), golden.gaussian_log(victim.actor, seen)
+        expected = [golden.symmetric_kl(m[row], s[row], n[row], t[row]) for row in range(ROWS)]
+    else:
+        values = q_values(victim.critics, clean, mode(victim.actor, seen))  # the critics are told the truth
+        expected = -values.mean(axis=0) if objective == "min-q" else spread(values, 0)
+    np.testing.assert_allclose(_harm(objective, victim, observations, offsets), expected, rtol=2e-3, atol=1e-4)
+
+
+# ---- known worst corners -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["min-q-first-order", "min-q-mixed-order"])
+def test_a_linear_policy_is_pushed_into_its_worst_corner(name):
+    # Q grows with the action and the action with 0.3 s_0 - 0.2 s_1: down with s_0, up with s_1; s_2 cannot move.
+    found = _worst(name, _linear_victim(), _observations())
+    np.testing.assert_allclose(found, np.tile([-0.05, 0.2, 0.0], (ROWS, 1)), rtol=1e-6)
+
+
+def test_the_largest_change_of_a_linear_policy_is_one_of_two_corners():
+    found = _worst("action-diff-mixed-order", _linear_victim(), _observations())
+    np.testing.assert_allclose(np.abs(found), np.tile([0.05, 0.2, 0.0], (ROWS, 1)), rtol=1e-6)
+    assert (found[:, 0] * found[:, 1] < 0).all()
+
+
+def test_disagreement_is_climbed_away_from_where_members_agree():
+    # Q_1 = a and Q_2 = 2 a differ by |a|: the attack makes |a| larger, whichever sign it has.
+    victim = _linear_victim()
+    observations = jnp.asarray([[3.0, -2.0, 3.0], [-3.0, -2.0, 3.0]])
+    found = _worst("min-q-std-first-order", victim, observations)
+    clean = np.asarray(victim.gaussian(observations)[0])[:, 0]
+    np.testing.assert_allclose(found, np.sign(clean)[:, None] * np.array([[0.05, -0.2, 0.0]]), rtol=1e-6)
+
+
+# ---- draws ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["action-diff", "min-q", "min-q-std"])
+def test_sampling_takes_the_best_of_its_draws(name):
+    victim, observations, attack = _smooth_victim(), _observations(), ATTACKS[name]
+    candidates = 50 if name == "action-diff" else 51
+    unit = draw_offsets(jr.key(0), candidates, ROWS, OBS, 1.0, shared=False, include_centre=attack.with_clean)
+    draws = np.asarray(unit * (jnp.float32(0.1) * STD)[None, None])
+    harm = np.stack([_harm(attack.objective, victim, observations, draw) for draw in draws])
+    expected = draws[harm.argmax(axis=0), np.arange(ROWS)]
+    np.testing.assert_allclose(_worst(name, victim, observations), expected, rtol=1e-5, atol=1e-7)
+    assert len(np.unique(expected[:, 0])) == ROWS, "each row has draws of its own"
+
+
+def test_random_is_one_uniform_draw():
+    found = np.concatenate([_worst("random", None, _observations(), key=key) for key in range(300)])
+    assert 0.099 < np.abs(found[:, 0]).max() / 0.5 <= 0.1 and (found[:, 2] == 0).all()
+    assert abs(found[:, 1].std() - 0.2 / np.sqrt(3)) < 0.006  # 1,200 draws: its standard error is 0.0015
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_sampled_min_q_is_never_above_the_clean_value(seed):
+    victim, observations = _smooth_victim(seed), _observations(seed)
+    found = _harm("min-q", victim, observations, _worst("min-q", victim, observations, 0.3, key=seed))
+    assert (found >= _harm("min-q", victim, observations, np.zeros((ROWS, OBS), np.float32)) - 1e-6).all()
+
+
+@pytest.mark.parametrize("objective", ["min-q", "action-diff"])
+def test_climbing_finds_at_least_as_much_as_sampling(objective):
+    victim, observations = _smooth_victim(3), _observations()
+    sampled, mixed = (
+        _harm(objective, victim, observations, _worst(name, victim, observations, 0.3))
+        for name in (objective, f"{objective}-mixed-order")
+    )
+    assert (mixed >= sampled - 1e-6).all() and (mixed > sampled + 1e-4).any()
+
+
+# ---- steps ---------------------------------------------------------------------------------------------------------
+
+
+def test_the_published_step_is_that_of_a_fresh_adam():
+    """A tenth of the budget along the sign, the same in wide and narrow dimensions; optax's own Adam agrees."""
+    slopes = jnp.asarray([3.0, -4e-8, 0.0])
+
+    def harm(offsets):
+        return jnp.sum(offsets * slopes[None, None], axis=-1)
+
+    budget, start = jnp.float32(0.2), jnp.asarray([[[0.01, 0.02, 0.0]]])
+    wide = jnp.asarray([10.0, 10.0, 10.0])
+    found = climb(harm, start, wide, budget, 1, "rorl") - start
+    fresh = optax.adam(0.1 * 0.2)
+    update, _ = fresh.update(-slopes, fresh.init(slopes))
+    np.testing.assert_allclose(np.asarray(found)[0, 0], np.asarray(update), rtol=1e-4, atol=1e-9)
+    np.testing.assert_allclose(np.asarray(found)[0, 0, 0], 0.02, rtol=1e-5)
+    # A dimension whose box is narrower than a step goes to its edge.
+    narrow = jnp.asarray([0.015, 10.0, 0.0])
+    assert np.asarray(climb(harm, start, narrow, budget, 1, "rorl"))[0, 0, 0] == np.float32(0.015)
+
+
+def test_the_projected_step_is_a_fifth_of_the_box():
+    def harm(offsets):
+        return jnp.sum(offsets * jnp.asarray([[[3.0, -4.0, 0.0]]]), axis=-1)
+
+    found = climb(harm, jnp.zeros((1, 1, 3)), jnp.asarray([0.5, 2.0, 1.0]), jnp.float32(0.1), 3, "pgd")
+    np.testing.assert_allclose(np.asarray(found)[0, 0], [0.3, -1.2, 0.0], rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("name", "rule"),
+    [(name, "pgd") for name in ATTACKS] + [(name, "rorl") for name in ATTACKS if name.endswith("first-order")],
+)
+def test_the_box_is_never_left_and_an_empty_box_moves_nothing(name, rule):
+    observations = _observations()
+    for budget in (0.0, 0.05, 0.3):
+        found = _worst(name, _smooth_victim(), observations, budget, rule)
+        assert (np.abs(found) <= np.asarray(jnp.float32(budget) * STD)).all()
+    assert (found != 0.0)[:, :2].any()
+
+
+# ---- policies ------------------------------------------------------------------------------------------------------
+
+
+def _policy(learner) -> Policy:
+    spec = Spec(
+        obs_dim=OBS, act_dim=ACT, action_low=(-1.0, 0.0), action_high=(1.0, 5.0), reward_min=0.0, reward_max=1.0,
+        ever_terminates=False, max_episode_length=10,
+    )  # fmt: skip
+    state = learner.init(jr.key(0), spec, ())
+    return Policy(learner, spec, Normaliser(np.asarray(MEAN), np.asarray(STD)), state, ("a", "b", "c"))
+
+
+@pytest.fixture(scope="module")
+def policy() -> Policy:
+    return _policy(EnsembleSAC(num_critics=2, hidden_sizes=(4,)))
+
+
+def test_an_attacked_policy_acts_on_what_it_is_shown(policy):
+    observations = np.asarray(_observations())
+    twin = AttackedPolicy(policy, ATTACKS["min-q"], 0.3, jr.key(1))
+    first, second = (twin.shown(observations) for _ in range(2))
+    attacked = AttackedPolicy(policy, ATTACKS["min-q"], 0.3, jr.key(1))
+    np.testing.assert_array_equal(attacked(observations), policy(first))
+    np.testing.assert_array_equal(attacked(observations), policy(second))
+    assert (first != second)[:, :2].any(), "every step has draws of its own"
+    assert (np.abs(first - observations) <= 0.3 * np.asarray(STD) * (1 + 1e-5) + 1e-6).all()
+
+
+@pytest.mark.parametrize("name", ["random", "min-q", "action-diff-first-order"])
+def test_without_a_budget_an_attacked_policy_is_the_policy(policy, name):
+    observations = np.asarray(_observations())
+    attacked = AttackedPolicy(policy, ATTACKS[name], 0.0, jr.key(0))
+    np.testing.assert_array_equal(attacked(observations), policy(observations))
+
+
+def test_one_compilation_serves_all_budgets_steps_and_keys(policy, monkeypatch):
+    traces = []
+    plain = attacks.worst_offsets
+    monkeypatch.setattr(attacks, "worst_offsets", lambda *given: (traces.append(1), plain(*given))[1])
+    rows = np.concatenate([np.asarray(_observations())] * 3)  # as many as no other test has
+    for budget, key in ((0.1, 0), (0.2, 1)):
+        attacked = AttackedPolicy(policy, ATTACKS["random"], budget, jr.key(key))
+        for _ in range(2):
+            attacked(rows)
+    assert len(traces) == 1
+
+
+def test_the_deployed_actor_is_the_one_attacked():
+    learner = EnsembleSAC(num_critics=2, hidden_sizes=(4,), deployed_actor="slow")
+    policy = _policy(learner)
+    victim = attacks.victim_of(policy, ATTACKS["min-q"])
+    assert victim is not None and victim.actor is policy.state.slow_actor
+
+
+def test_a_learner_without_critics_is_refused_with_the_attacks_that_work():
+    cloned = _policy(BehaviourCloning(hidden_sizes=(4,)))
+    for name, attack in ATTACKS.items():
+        if name == "random":
+            AttackedPolicy(cloned, attack, 0.1, jr.key(0))(np.asarray(_observations()))
+            continue
+        with pytest.raises(ConfigError, match=f"'{name}'.*'behaviour-cloning' has none.*: random$"):
+            AttackedPolicy(cloned, attack, 0.1, jr.key(0))

@@ -1,0 +1,47 @@
+"""Run directories of learners that were never trained: they load like any other, and are written in a moment."""
+
+from pathlib import Path
+
+import jax.random as jr
+import numpy as np
+
+from odaf.algorithms.base import Algorithm
+from odaf.algorithms.config import to_dict
+from odaf.data.dataset import Dataset
+from odaf.data.normalisation import Normaliser
+from odaf.training import checkpoints, run_directory
+from odaf.training.files import plain
+
+
+def dataset_of(obs_dim: int, act_dim: int, environment: dict, episodes: int = 4, steps: int = 10) -> Dataset:
+    """Episodes of standard normal states, cut by a time limit, with actions in [-1, 1]."""
+    rng = np.random.default_rng(0)
+    states = rng.normal(size=(episodes, steps + 1, obs_dim)).astype(np.float32)
+    return Dataset.from_arrays(
+        states[:, :-1].reshape(-1, obs_dim),
+        rng.uniform(-1, 1, (episodes * steps, act_dim)),
+        rng.uniform(0, 1, episodes * steps),
+        states[:, 1:].reshape(-1, obs_dim),
+        truncated=np.tile(np.arange(steps) == steps - 1, episodes),
+        action_bounds=(-1.0, 1.0),
+        provenance={"environment": environment},
+    )
+
+
+def untrained_run(
+    directory: Path, learner: Algorithm, dataset: Dataset, seeds: tuple[int, ...] = (0, 1), data: Path | None = None
+) -> Path:
+    """A run of 0 updates; each seed has its own random parameters."""
+    config = {
+        "format": run_directory.FORMAT, "version": run_directory.VERSION, "preset": None, "steps": 0,
+        "algorithm": to_dict(learner), "seeds": list(seeds), "evaluate": None, "checkpoint_every": 1, "stretch": 1,
+        "on_divergence": "warn",
+    }  # fmt: skip
+    normaliser = Normaliser.fit(dataset.observations)
+    record = run_directory.data_record(dataset, normaliser, data)
+    run = run_directory.begin(directory, plain(config), plain(record), dataset)
+    for seed in seeds:
+        state = learner.init(jr.key(seed), dataset.spec(), ())
+        summary = {"seed": seed, "step": 0, "status": "finished", "evaluation": None, "warnings": []}
+        checkpoints.save(run.seed_directory(seed) / "checkpoints", 0, state, {"seed": seed, "summary": summary})
+    return directory
