@@ -198,7 +198,7 @@ class EnsembleSAC(Algorithm[EnsembleState]):
         if self.warm_start == "none":
             actor, critics = self._networks(key, spec)
         else:
-            *side, (actor, critics) = side
+            side, (actor, critics) = side[:-1], side[-1]
         log_temperature = jnp.asarray(math.log(self.initial_temperature), dtype=jnp.float32)
         return EnsembleState(
             step=jnp.asarray(0),
@@ -212,7 +212,7 @@ class EnsembleSAC(Algorithm[EnsembleState]):
             temperature_optimiser=_moments(self.temperature_learning_rate, log_temperature),
             reward_scale=jnp.asarray(self._scale(spec), dtype=jnp.float32),
             value_bounds=self._value_bounds(spec),
-            side=tuple(side),
+            side=side,
             memory=tuple(term.first_memory() for term in self.active_terms),
         )
 

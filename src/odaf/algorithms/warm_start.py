@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import jax.random as jr
 import numpy as np
 import optax
-from jaxtyping import Array, Float, PRNGKeyArray
+from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 from scipy.signal import lfilter
 
 from odaf.components.critics import CriticEnsemble
@@ -84,8 +84,8 @@ def fit_to_log(
     optimiser = optax.adam(learning_rate)
 
     @partial(jax.jit, donate_argnums=0)
-    def stretch(carry, columns, keys):
-        def step(carry, key):
+    def stretch(carry: PyTree, columns: tuple[Array, ...], keys: PRNGKeyArray) -> tuple[PyTree, tuple[Array, Array]]:
+        def step(carry: PyTree, key: PRNGKeyArray) -> tuple[PyTree, tuple[Array, Array]]:
             networks, moments = carry
             rows = jr.randint(key, (batch_size,), 0, returns.shape[0])
             observations, actions, targets = (column[rows] for column in columns)
@@ -95,13 +95,14 @@ def fit_to_log(
                 return -jnp.mean(tanh_gaussian_log_density(*actor.parameters(observations), actions))
 
             actor_loss, actor_gradient = jax.value_and_grad(cloning_loss)(networks[0])
-            updates, moments = optimiser.update((actor_gradient, critic_gradient), moments, networks)
+            gradient: PyTree = (actor_gradient, critic_gradient)
+            updates, moments = optimiser.update(gradient, moments, networks)
             return (optax.apply_updates(networks, updates), moments), (actor_loss, critic_loss)
 
         carry, losses = jax.lax.scan(step, carry, keys)
         return carry, jax.tree.map(jnp.mean, losses)
 
-    networks = actor, critics
+    networks: PyTree = (actor, critics)
     carry = jax.tree.map(jnp.copy, (networks, optimiser.init(networks)))
     keys = jr.split(key, steps)
     losses = jnp.nan, jnp.nan
