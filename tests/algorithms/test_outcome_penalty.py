@@ -28,6 +28,7 @@ OPTIONS = {
     "one set of draws for the batch": {"solver": "sample", "shared_draws": True},
     "current policy acts next": {"next_policy": "current"},
     "next action without noise": {"next_action": "mode"},
+    "next action at the perturbed state": {"next_action_at": "perturbed"},
     "divisor K - 1": {"std_ddof": 1},
     "some of the states": {"num_states": 4},
     "some of the states, sampled": {"num_states": 4, "solver": "sample"},
@@ -72,6 +73,7 @@ def _expected(term, context, side, key, actor=None) -> np.ndarray:
             functools.partial(dynamics.PREDICT[term.dynamics.kind], side),
             noise,
             next_action=term.next_action,
+            next_action_at=term.next_action_at,
             ddof=term.std_ddof,
         )
 

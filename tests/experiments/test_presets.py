@@ -17,6 +17,8 @@ ALL = (
     "behaviour-cloning",
     "edac",
     "odaf",
+    "odaf-demo",
+    "odaf-demo-without-outcome",
     "odaf-paper",
     "odaf-paper-without-outcome",
     "odaf-pessimistic",
@@ -27,6 +29,8 @@ ALL = (
     "osr",
     "osr-10",
     "osr-v",
+    "pbrl",
+    "pbrl-prior",
     "rorl",
     "sac-n",
 )
@@ -84,7 +88,7 @@ def test_the_default_is_stabilised_and_carries_the_term():
     assert isinstance(_terms("odaf-pessimistic")["ood"], OODPessimism)
 
 
-@pytest.mark.parametrize("name", ["odaf", "odaf-paper", "odaf-pessimistic", "odaf-rorl"])
+@pytest.mark.parametrize("name", ["odaf", "odaf-demo", "odaf-paper", "odaf-pessimistic", "odaf-rorl"])
 def test_without_outcome_differs_by_that_term_and_nothing_else(name):
     whole, base = config.to_dict(presets.load(name)), config.to_dict(presets.load(f"{name}-without-outcome"))
     assert "outcome" in [term["name"] for term in whole["terms"]]
@@ -214,7 +218,7 @@ def test_overrides_by_dotted_name():
 
 
 def test_names_that_are_not_known_are_answered_with_those_that_are():
-    with pytest.raises(ConfigError, match="preset 'odaff' does not exist; known: .*odaf, odaf-paper"):
+    with pytest.raises(ConfigError, match="preset 'odaff' does not exist; known: .*odaf, odaf-demo"):
         presets.load("odaff")
     with pytest.raises(ConfigError, match="preset odaf: unknown field 'criticks'; known here: .*num_critics"):
         presets.load("odaf", {"criticks": 3})
@@ -237,3 +241,27 @@ def test_listing_presets_loads_no_array_library():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == ""
+
+
+def test_pbrl_follows_its_own_members_and_pulls_down_twice():
+    learner = presets.load("pbrl")
+    assert (learner.target, learner.target_deviations, learner.entropy_in_backup) == ("member", 0.01, False)
+    assert (learner.actor_learning_rate, learner.temperature_learning_rate) == (1e-4, 1e-4)
+    term = _terms("pbrl")["ood"]
+    assert (term.weight, term.num_actions, term.radius, term.floor, term.next_deviations) == (1.0, 10, 0.0, 0.0, 0.1)
+    assert (term.deviations, term.final_deviations, term.decay_steps, term.adaptive) == (5.0, 1.0, 50_000, True)
+    assert set(presets.tasks("pbrl")) == FIFTEEN
+    assert not _terms("pbrl", "hopper-medium-expert")["ood"].adaptive
+    expert = _terms("pbrl", "walker2d-expert")["ood"]
+    assert (expert.deviations, expert.final_deviations, expert.adaptive) == (2.0, 2.0, False)
+    assert config.to_dict(presets.load("pbrl-prior")) == config.to_dict(learner) | {"prior_scale": 1.0}
+
+
+def test_the_released_codes_term_differs_from_the_printed_one():
+    term = _terms("odaf-demo")["outcome"]
+    assert (term.weight, term.reduce, term.shared_draws, term.std_ddof) == (0.1, "mean", True, 1)
+    assert (term.next_policy, term.next_action_at, term.detach_next_action) == ("current", "perturbed", True)
+    for task in FIFTEEN | ATTACKED:
+        terms = _terms("odaf-demo", task)
+        smoothing = terms["value_smoothing"]
+        assert (terms["outcome"].radius, terms["outcome"].num_draws) == (smoothing.radius, smoothing.num_draws)

@@ -6,7 +6,17 @@ from golden.networks import act, mode, numbers, q_values, spread
 
 
 def uncertainty(
-    perturbed, actor, next_actor, critics, predict, noise, *, next_action="sample", ddof=0, fixed_next_action=None
+    perturbed,
+    actor,
+    next_actor,
+    critics,
+    predict,
+    noise,
+    *,
+    next_action="sample",
+    next_action_at="outcome",
+    ddof=0,
+    fixed_next_action=None,
 ) -> np.ndarray:
     """U = std_k Q_k(s^', a^') with a^ ~ pi(s^), s^' = P(s^, a^), a^' ~ pi'(s^').
 
@@ -18,17 +28,19 @@ def uncertainty(
         predict: (s, a, noise) -> s'.
         noise: draws of a^, of the model and of a^'.
         next_action: "sample" or "mode".
+        next_action_at: "outcome", or "perturbed" to choose a^' at s^.
         ddof: of the standard deviation.
         fixed_next_action: used for a^' if given, so that numerical derivatives can leave it out.
     """
     action, _ = act(actor, perturbed, noise[0])
     outcome = predict(perturbed, action, noise[1])
+    where = outcome if next_action_at == "outcome" else perturbed
     if fixed_next_action is not None:
         then = fixed_next_action
     elif next_action == "sample":
-        then, _ = act(next_actor, outcome, noise[2])
+        then, _ = act(next_actor, where, noise[2])
     else:
-        then = mode(next_actor, outcome)
+        then = mode(next_actor, where)
     return spread(q_values(critics, outcome, then), ddof)
 
 

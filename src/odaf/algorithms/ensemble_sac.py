@@ -147,6 +147,11 @@ class EnsembleSAC(Algorithm[EnsembleState]):
                 raise ConfigError(f"{field}={getattr(self, field)} must be at least 1")
         if any(width < 1 for width in self.hidden_sizes):
             raise ConfigError(f"hidden_sizes={self.hidden_sizes} must hold widths of at least 1")
+        for term in self.active_terms:
+            if term.needs_next_state and self.return_steps > 1:
+                raise ConfigError(
+                    f"return_steps={self.return_steps}: the term {term.name} reads the state after one step; set 1"
+                )
         names = [term.name for term in self.terms]
         if len(set(names)) < len(names):
             raise ConfigError(f"terms {names} contain one term twice")
@@ -247,12 +252,16 @@ class EnsembleSAC(Algorithm[EnsembleState]):
         next_actions, log_density = state.actor.sample(batch.next_observations, noise)
         members = state.target_critics(batch.next_observations, next_actions)
         next_values = jnp.min(members, axis=0) if self.target == "min" else members
+
+        def beside(column: Float[Array, " rows"]) -> Float[Array, "*one rows"]:
+            return column if self.target == "min" else column[None, :]
+
         if self.target_deviations != 0.0:
-            next_values = next_values - self.target_deviations * disagreement(members, ddof=1)
+            next_values = next_values - self.target_deviations * beside(disagreement(members, ddof=1))
         if self.entropy_in_backup:
-            next_values = next_values - jnp.exp(state.log_temperature) * log_density
-        rewards = state.reward_scale * batch.rewards
-        y = bellman_target(rewards, batch.terminated, next_values, self.discount**self.return_steps)
+            next_values = next_values - jnp.exp(state.log_temperature) * beside(log_density)
+        rewards, terminated = beside(state.reward_scale * batch.rewards), beside(batch.terminated)
+        y = bellman_target(rewards, terminated, next_values, self.discount**self.return_steps)
         return jnp.clip(y, state.value_bounds[0], state.value_bounds[1])
 
     def critic_gradient(

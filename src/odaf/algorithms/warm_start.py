@@ -84,7 +84,7 @@ def fit_to_log(
     optimiser = optax.adam(learning_rate)
 
     @partial(jax.jit, donate_argnums=0)
-    def stretch(carry: PyTree, columns: tuple[Array, ...], keys: PRNGKeyArray) -> tuple[PyTree, tuple[Array, Array]]:
+    def stretch(carry: PyTree, columns: tuple[Array, ...], keys: Array) -> tuple[PyTree, tuple[Array, Array]]:
         def step(carry: PyTree, key: PRNGKeyArray) -> tuple[PyTree, tuple[Array, Array]]:
             networks, moments = carry
             rows = jr.randint(key, (batch_size,), 0, returns.shape[0])

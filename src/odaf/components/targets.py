@@ -13,8 +13,8 @@ Networks = TypeVar("Networks", bound=PyTree)
 
 
 def bellman_target(
-    rewards: Float[Array, " rows"],
-    terminated: Float[Array, " rows"],
+    rewards: Float[Array, "*one rows"],
+    terminated: Float[Array, "*one rows"],
     next_values: Float[Array, "*critics rows"],
     discount: float,
 ) -> Float[Array, "*critics rows"]:

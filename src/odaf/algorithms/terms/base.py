@@ -39,6 +39,7 @@ class Term(abc.ABC):
     name: ClassVar[str]
     acts_on_actor: ClassVar[bool] = False
     acts_on_critics: ClassVar[bool] = False
+    needs_next_state: ClassVar[bool] = False  # reads s' as the state after one step, so targets must span one step
     weight: float
 
     def untrained_side(self, key: PRNGKeyArray, spec: Spec) -> PyTree:

@@ -14,7 +14,6 @@ a directional derivative of Q_k in its action, taken one member at a time.
 """
 
 import dataclasses
-from collections.abc import Callable
 from typing import ClassVar
 
 import jax
@@ -23,6 +22,7 @@ from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 
 from odaf.algorithms.base import Metrics
 from odaf.algorithms.terms.base import Context, Term
+from odaf.components.critics import over_members
 from odaf.components.networks import MLP
 from odaf.errors import ConfigError
 
@@ -87,18 +87,13 @@ def _action_slopes(
         values, pull_back = jax.vjp(lambda a: _values(network, observations, a), actions)
         return pull_back(jnp.ones_like(values))[0]  # rows do not interact: dQ_k/da of every row
 
-    return _one_by_one(member, networks)
+    return over_members(member, networks)
 
 
 def _values(
     network: MLP, observations: Float[Array, "rows obs_dim"], actions: Float[Array, "rows act_dim"]
 ) -> Float[Array, " rows"]:
     return network(jnp.concatenate([observations, actions], axis=-1))[:, 0]
-
-
-def _one_by_one(function: Callable, stack: PyTree) -> PyTree:
-    """`components.critics.over_members` for a stack of anything."""
-    return jax.lax.map(function, stack) if jax.default_backend() == "cpu" else jax.vmap(function)(stack)
 
 
 def _forward(networks: MLP, observations: Array, actions: Array) -> tuple[Float[Array, ""], tuple]:
@@ -119,7 +114,7 @@ def _backward(residuals: tuple, cotangent: Float[Array, ""]) -> tuple[MLP, Array
 
         return jax.grad(along)(network)
 
-    return _one_by_one(member, (networks, directions)), jnp.zeros_like(observations), jnp.zeros_like(actions)
+    return over_members(member, (networks, directions)), jnp.zeros_like(observations), jnp.zeros_like(actions)
 
 
 action_diversity.defvjp(_forward, _backward)

@@ -32,6 +32,7 @@ class InverseDynamicsAlignment(Term):
 
     name: ClassVar[str] = "inverse_dynamics"
     acts_on_actor: ClassVar[bool] = True
+    needs_next_state: ClassVar[bool] = True
 
     weight: float = 0.5
     """Weight in the actor's loss (OSR 0.5); 0 leaves the term out."""

@@ -36,6 +36,7 @@ class InverseDynamicsValues(Term):
 
     name: ClassVar[str] = "inverse_dynamics_values"
     acts_on_critics: ClassVar[bool] = True
+    needs_next_state: ClassVar[bool] = True
 
     weight: float = 5.0
     """lambda_v, the weight in the critics' loss (not known; 5 is CQL's); 0 leaves the term out."""

@@ -97,7 +97,7 @@ class OODPessimism(Term):
         total = memory.total + metrics["ood/value"]
         ends = step % EPOCH == 0
         records = jnp.where(ends, jnp.append(memory.records[1:], total / EPOCH), memory.records)
-        count = memory.count + ends
+        count = memory.count + ends.astype(memory.count.dtype)
         falls = jnp.mean(records[-RECENT:]) < jnp.mean(records[:-RECENT])
         high = memory.factor * self.deviations_at(step) > LEAST_DEVIATIONS
         eases = ends & (step > self.decay_steps) & (count >= RECORDS) & falls & high

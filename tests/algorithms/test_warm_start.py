@@ -1,0 +1,90 @@
+"""The warm start: returns by brute force, a fit that learns the log, a training that begins from it."""
+
+import jax
+import jax.numpy as jnp
+import jax.random as jr
+import numpy as np
+import pytest
+
+from golden import tiny
+from odaf.algorithms.ensemble_sac import EnsembleSAC
+from odaf.algorithms.warm_start import returns_to_go
+from odaf.components.distributions import sample_tanh_gaussian, tanh_gaussian_log_density
+from odaf.data.dataset import Dataset
+from odaf.data.normalisation import Normaliser, scale_actions
+
+SMALL = {"num_critics": 2, "hidden_sizes": (32, 32), "batch_size": 64, "warm_start": "returns", "discount": 0.9}
+
+
+def _ignore(stage: str, done: int, steps: int) -> None:
+    pass
+
+
+def test_returns_are_the_discounted_sums_to_the_end_of_the_episode():
+    rng = np.random.default_rng(0)
+    lengths, ends = (4, 1, 6), (True, False, False)
+    rewards = rng.normal(size=sum(lengths)).astype(np.float32)
+    last = np.cumsum(lengths) - 1
+    terminated, truncated = (np.zeros(len(rewards), bool) for _ in range(2))
+    terminated[last[np.array(ends)]] = True
+    truncated[last[~np.array(ends)]] = True
+    dataset = Dataset.from_arrays(
+        rng.normal(size=(len(rewards), 3)),
+        rng.uniform(-1, 1, (len(rewards), 2)),
+        rewards,
+        next_observations=rng.normal(size=(len(rewards), 3)),
+        terminated=terminated,
+        truncated=truncated,
+        action_bounds=(-1, 1),
+    )
+    found, start = returns_to_go(dataset, 0.9), 0
+    for length, ended in zip(lengths, ends, strict=True):
+        episode = rewards[start : start + length].astype(float)
+        for row in range(length):
+            total = sum(0.9**ahead * episode[row + ahead] for ahead in range(length - row))
+            if not ended:
+                total += 0.9 ** (length - row) * episode.mean() / (1 - 0.9)
+            assert found[start + row] == pytest.approx(total, rel=1e-5)
+        start += length
+
+
+def test_the_density_of_an_action_is_that_of_the_draw_it_came_from():
+    rng = np.random.default_rng(0)
+    with tiny.exactly():
+        mean, noise = tiny.floats(rng.normal(size=(7, 3))), tiny.floats(rng.normal(size=(7, 3)))
+        log_std = tiny.floats(rng.uniform(-1.0, 0.3, (7, 3)))
+        action, log_density = sample_tanh_gaussian(mean, log_std, noise)
+        np.testing.assert_allclose(tanh_gaussian_log_density(mean, log_std, action), log_density, rtol=1e-6)
+
+
+def test_the_fit_learns_the_logs_values_and_actions_and_training_begins_there():
+    dataset = tiny.linear_dataset(noise=0.0)
+    gains = np.array([[0.5, -0.3], [0.2, 0.4], [0.0, 0.6]])
+    actions = np.tanh(dataset.observations @ gains)  # a controller to be cloned
+    dataset = Dataset.from_arrays(
+        dataset.observations,
+        actions,
+        dataset.rewards,
+        next_observations=dataset.next_observations,
+        truncated=dataset.truncated,
+        action_bounds=(-1.0, 1.0),
+    )
+    learner, normaliser = EnsembleSAC(**SMALL, warm_start_steps=1500), Normaliser.fit(dataset.observations)
+    spec, key = dataset.spec(), jr.key(0)
+    side, report = learner.pretrain(dataset, normaliser, key, _ignore)
+    assert jax.tree.structure(side) == jax.tree.structure(learner.untrained_side(jr.key(2), spec))
+
+    state = learner.init(jr.key(1), spec, side)
+    assert state.side == ()
+    tiny.assert_same_bits((state.actor, state.critics, state.target_critics), (*side[0], side[0][1]))
+    observations = jnp.asarray(normaliser.normalise(dataset.observations))
+    scaled = jnp.asarray(scale_actions(dataset.actions, dataset.action_low, dataset.action_high))
+    returns = returns_to_go(dataset, 0.9)
+    low, high = np.asarray(state.value_bounds)
+    error = np.mean((np.asarray(state.critics(observations, scaled)) - np.clip(returns, low, high)) ** 2)
+    assert error < 0.2 * returns.var()
+    assert report["warm_start"]["value_error_share"] < 0.2
+    assert np.mean((np.asarray(state.actor.mode(observations)) - scaled) ** 2) < 0.02 * scaled.var()
+
+    fresh = EnsembleSAC(**{**SMALL, "warm_start": "none"})
+    assert fresh.untrained_side(jr.key(3), spec) == () == fresh.pretrain(dataset, normaliser, jr.key(4), _ignore)[0]
