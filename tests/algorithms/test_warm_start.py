@@ -57,18 +57,25 @@ def test_the_density_of_an_action_is_that_of_the_draw_it_came_from():
         np.testing.assert_allclose(tanh_gaussian_log_density(mean, log_std, action), log_density, rtol=1e-6)
 
 
-def test_the_fit_learns_the_logs_values_and_actions_and_training_begins_there():
-    dataset = tiny.linear_dataset(episodes=4, length=200)
-    gains = np.array([[0.5, -0.3], [0.2, 0.4], [0.0, 0.6]])
-    actions = np.tanh(dataset.observations @ gains)  # a controller to be cloned
-    dataset = Dataset.from_arrays(
-        dataset.observations,
-        actions,
-        dataset.rewards,
-        next_observations=dataset.next_observations,
-        truncated=dataset.truncated,
-        action_bounds=(-1.0, 1.0),
+def _controlled(episodes: int = 40, length: int = 30) -> Dataset:
+    """A controller without noise brings a linear system to rest; the reward is the first number of the state."""
+    rng = np.random.default_rng(0)
+    a = np.array([[0.9, 0.2, 0.0], [-0.1, 0.8, 0.1], [0.0, 0.1, 0.7]])
+    gains = np.array([[-0.3, 0.2], [0.1, -0.4], [0.2, 0.3]])
+    states = [rng.normal(size=(episodes, 3))]
+    for _ in range(length):
+        states.append(states[-1] @ a.T + 0.3 * np.tanh(states[-1] @ gains)[:, [0, 1, 0]])
+    path = np.stack(states, axis=1)  # [episodes, length + 1, 3]
+    before, after = path[:, :-1].reshape(-1, 3), path[:, 1:].reshape(-1, 3)
+    ends = np.tile(np.arange(length) == length - 1, episodes)
+    actions = np.tanh(before @ gains)
+    return Dataset.from_arrays(
+        before, actions, before[:, 0], next_observations=after, terminated=ends, action_bounds=(-1.0, 1.0)
     )
+
+
+def test_the_fit_learns_the_logs_values_and_actions_and_training_begins_there():
+    dataset = _controlled()
     learner, normaliser = EnsembleSAC(**SMALL, warm_start_steps=1500), Normaliser.fit(dataset.observations)
     spec, key = dataset.spec(), jr.key(0)
     side, report = learner.pretrain(dataset, normaliser, key, _ignore)
