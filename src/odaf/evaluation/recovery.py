@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from odaf.data.dataset import Dataset
 from odaf.data.normalisation import Normaliser
@@ -25,7 +25,7 @@ class KnownGround:
         normaliser: from the user's units to those.
     """
 
-    tree: cKDTree
+    tree: KDTree
     rows: int
     threshold: float
     normaliser: Normaliser
@@ -60,7 +60,7 @@ class KnownGround:
             np.sort(random.permutation(np.flatnonzero(chosen))[:most])
             for chosen, most in ((~is_held, rows), (is_held, checked))
         )
-        tree = cKDTree(normaliser.normalise(dataset.observations[sampled]))
+        tree = KDTree(normaliser.normalise(dataset.observations[sampled]))
         distances, _ = tree.query(normaliser.normalise(dataset.observations[measured]))
         return cls(tree, len(sampled), float(np.percentile(distances, _PERCENTILE)), normaliser)
 
