@@ -143,6 +143,15 @@ def test_random_is_one_uniform_draw():
     assert abs(found[:, 1].std() - 0.2 / np.sqrt(3)) < 0.006  # 1,200 draws: its standard error is 0.0015
 
 
+def test_sampled_min_q_leaves_a_state_alone_that_is_worst_already():
+    # With slopes 1 and -1 into the hidden layer Q = silu(a) + silu(-a), which is smallest at a = 0, the clean action.
+    members = np.stack([np.array([[0.0, 0.0]] * OBS + [[1.0, -1.0]])] * 2)
+    critics = CriticEnsemble(_network(members, np.ones((2, 2, 1))))
+    victim = Victim(_linear_victim().actor, critics, MEAN, STD + 1e-3)
+    found = _worst("min-q", victim, jnp.tile(MEAN[None], (ROWS, 1)))
+    np.testing.assert_array_equal(found, np.zeros((ROWS, OBS)))
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_sampled_min_q_is_never_above_the_clean_value(seed):
     victim, observations = _smooth_victim(seed), _observations(seed)

@@ -54,9 +54,10 @@ def test_recovery_counts_steps_until_the_first_near_state():
             [edge + 9, edge + 2, edge + 0.4, 50],  # 0.4 is 0.2 in normalised units, nearer than 0.25
             [edge + 9, edge + 0.6, edge + 0.6, edge + 0.6],  # 0.3: too far
             [edge + 9, edge + 9, np.nan, np.nan],  # ended before it was back
+            [edge + 9, edge + 0.4, edge + 0.4, 50],  # the first time counts
         ]
     )[:, :, None]
-    np.testing.assert_array_equal(ground.recovery(paths), [0, 2, np.inf, np.inf])
+    np.testing.assert_array_equal(ground.recovery(paths), [0, 2, np.inf, np.inf, 1])
     assert ground.recovery(np.empty((0, 5, 1))).shape == (0,)
 
 
