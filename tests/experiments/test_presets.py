@@ -247,8 +247,9 @@ def test_pbrl_follows_its_own_members_and_pulls_down_twice():
     learner = presets.load("pbrl")
     assert (learner.target, learner.target_deviations, learner.entropy_in_backup) == ("member", 0.01, False)
     assert (learner.actor_learning_rate, learner.temperature_learning_rate) == (1e-4, 1e-4)
+    assert learner.num_critics == 10, "the term's weight is one for each critic"
     term = _terms("pbrl")["ood"]
-    assert (term.weight, term.num_actions, term.radius, term.floor, term.next_deviations) == (1.0, 10, 0.0, 0.0, 0.1)
+    assert (term.weight, term.num_actions, term.radius, term.floor, term.next_deviations) == (10.0, 10, 0.0, 0.0, 0.1)
     assert (term.deviations, term.final_deviations, term.decay_steps, term.adaptive) == (5.0, 1.0, 50_000, True)
     assert set(presets.tasks("pbrl")) == FIFTEEN
     assert not _terms("pbrl", "hopper-medium-expert")["ood"].adaptive
