@@ -39,15 +39,18 @@ def test_critics_as_constants_have_the_same_values_and_slopes_but_no_gradient_of
         assert tiny.all_zero(found[0]) and tiny.each_nonzero(expected[0].networks.weights)
 
 
-def test_one_member_after_another_equals_one_batched_product(monkeypatch):
-    critics, batch = tiny.critics(), tiny.batch()
+@pytest.mark.parametrize(("cores", "unrolled"), [(1, 10), (2, 10), (2, 2), (2, 1)])
+def test_members_in_turn_or_side_by_side_equal_one_batched_product(monkeypatch, cores, unrolled):
+    monkeypatch.setattr("odaf.components.critics.usable_cores", lambda: cores)
+    monkeypatch.setattr("odaf.components.critics.UNROLLED", unrolled)
+    critics, batch = tiny.critics(num_critics=4), tiny.batch()
     y = tiny.floats(np.linspace(-1.0, 1.0, tiny.ROWS))
 
     def everything(critics, states, actions):
         slope = jax.grad(lambda a: jnp.sum(critics.as_constants(states, a) ** 2))(actions)
         return critics(states, actions), slope, ensemble_td_gradient(critics, states, actions, y)
 
-    in_turn = jax.jit(everything)(critics, batch.observations, batch.actions)
+    in_turn = jax.jit(lambda *arguments: everything(*arguments))(critics, batch.observations, batch.actions)
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
     together = jax.jit(lambda *arguments: everything(*arguments))(critics, batch.observations, batch.actions)
     tiny.assert_close(in_turn, together, rtol=1e-4, atol=1e-5)

@@ -1,5 +1,6 @@
 """The stacked ensemble of Q-functions and what is read off it."""
 
+import os
 from collections.abc import Callable
 from typing import TypeVar
 
@@ -13,6 +14,7 @@ from odaf.components.networks import MLP, Norm, init_mlp
 from odaf.components.targets import frozen
 
 ROOT_EPSILON = 1e-12
+UNROLLED = 10  # members that are compiled side by side on several cores
 
 Member = TypeVar("Member", bound=PyTree)
 Result = TypeVar("Result", bound=PyTree)
@@ -21,12 +23,32 @@ Result = TypeVar("Result", bound=PyTree)
 def over_members(function: Callable[[Member], Result], stack: Member) -> Result:
     """Apply a function of one member to every member of a stack; results are stacked along a new first axis.
 
-    On a CPU one member is done after another, so that its activations stay in the cache: 1.4 to 1.5 times as fast as
-    one batched product at 256 rows and 256 units. Elsewhere all members are one batched product.
+    How is a matter of speed alone. On an accelerator all members are one batched product. On one processor core, one
+    member is done after another, so that its activations stay in the cache. On several cores members are written out
+    side by side, up to `UNROLLED` at a time, so that each core can take a member of its own with all that goes with it.
     """
-    if jax.default_backend() == "cpu":
+    if jax.default_backend() != "cpu":
+        return jax.vmap(function)(stack)
+    if usable_cores() == 1:
         return jax.lax.map(function, stack)
-    return jax.vmap(function)(stack)
+    members = jax.tree.leaves(stack)[0].shape[0]
+    group = max(size for size in range(1, UNROLLED + 1) if members % size == 0)
+    if group == members:
+        return _written_out(function, stack)
+    groups = jax.tree.map(lambda leaf: leaf.reshape(members // group, group, *leaf.shape[1:]), stack)
+    results = jax.lax.map(lambda part: _written_out(function, part), groups)
+    return jax.tree.map(lambda leaf: leaf.reshape(members, *leaf.shape[2:]), results)
+
+
+def usable_cores() -> int:
+    """Processor cores that this process may run on."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _written_out(function: Callable[[Member], Result], stack: Member) -> Result:
+    members = jax.tree.leaves(stack)[0].shape[0]
+    results = [function(jax.tree.map(lambda leaf, k=k: leaf[k], stack)) for k in range(members)]
+    return jax.tree.map(lambda *parts: jnp.stack(parts), *results)
 
 
 class CriticEnsemble(eqx.Module):

@@ -286,8 +286,9 @@ def data_sample(dataset: Dataset) -> dict[str, np.ndarray]:
 
 def changes(before: dict[str, Any], now: dict[str, Any]) -> str:
     """In words, what two process records differ in that can change a bit of the result; empty if nothing."""
-    old = {"python": before.get("python"), "device": before.get("device"), **before.get("versions", {})}
-    new = {"python": now["python"], "device": now["device"], **now["versions"]}
+    names = ("python", "device", "cores")
+    old = {**{name: before.get(name) for name in names}, **before.get("versions", {})}
+    new = {**{name: now[name] for name in names}, **now["versions"]}
     different = [name for name in {**old, **new} if old.get(name) != new.get(name)]
     return ", ".join(f"{name} was {old.get(name)}, is {new.get(name)}" for name in different)
 
