@@ -41,7 +41,7 @@ lap("check")
 columns = jax.block_until_ready(device_columns(data, Normaliser.fit(data.observations)))
 lap("device")
 peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
-size = sum(getattr(data, name).nbytes for name in dataset.ARRAYS)
+size = sum(getattr(data, name).nbytes for name in (*dataset.COLUMNS, "episode_starts", "action_low", "action_high"))
 print(json.dumps({
     "steps": times, "peak_bytes": peak - before, "data_bytes": size, "usable": report.usable,
     "device": str(jax.devices()[0]), "jax": jax.__version__,

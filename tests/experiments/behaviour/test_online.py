@@ -102,6 +102,16 @@ def test_a_run_can_be_ended_by_its_curve(tmp_path):
     assert [path.name for path in (tmp_path / "run" / "checkpoints").iterdir()] == ["00000080"]
 
 
+def test_a_run_can_be_made_longer_and_not_shorter(finished, tmp_path):
+    train(dataclasses.replace(TINY, steps=80), tmp_path)
+    with pytest.raises(ConfigError, match="80 steps, and 60 were asked for"):
+        train(dataclasses.replace(TINY, steps=60), tmp_path)
+    train(TINY, tmp_path)
+    assert curve_of(tmp_path) == curve_of(finished)
+    np.testing.assert_array_equal(np.load(tmp_path / "replay.npy"), np.load(finished / "replay.npy"))
+    assert online.run_in(tmp_path) == TINY
+
+
 def test_a_directory_belongs_to_one_run(finished):
     with pytest.raises(ConfigError, match="other settings"):
         train(dataclasses.replace(TINY, seed=5), finished)
@@ -127,7 +137,7 @@ def test_packed_rows_unpack_into_the_learners_columns(tmp_path):
         assert (float(batch.rewards[place]), float(batch.terminated[place])) == (reward, float(terminated))
     assert replay.columns(3)["truncated"].tolist() == [False, False, True]
     with pytest.raises(ValueError, match="remove the folder"):
-        Replay(tmp_path / "replay.npy", TASKS["hopper"], 4)
+        Replay(tmp_path / "replay.npy", TASKS["hopper"], 2)
 
 
 def test_returns_of_a_policy_end_with_its_episodes(finished):

@@ -93,7 +93,7 @@ def train(
     """Train until `run.steps`, from the newest checkpoint in `directory` if there is one.
 
     Args:
-        run: settings; they must be those of the directory.
+        run: settings; they must be those of the directory, but for a larger number of steps.
         directory: where everything goes.
         progress: hears how far the run is.
         stop: called with every line of the curve; true ends the run there.
@@ -259,8 +259,15 @@ def _claim(run: OnlineRun, directory: Path) -> None:
     """Makes the directory this run's own, or checks that it is."""
     path, settings = directory / "config.json", plain(dataclasses.asdict(run))
     directory.mkdir(parents=True, exist_ok=True)
-    if path.exists() and json.loads(path.read_text(encoding="utf-8"))["run"] != settings:
-        raise ConfigError(f"{directory}: holds a run with other settings; name another place or remove it")
+    if path.exists():
+        before = json.loads(path.read_text(encoding="utf-8"))["run"]
+        if before | {"steps": run.steps} != settings:
+            raise ConfigError(f"{directory}: holds a run with other settings; name another place or remove it")
+        if before["steps"] > run.steps:
+            raise ConfigError(
+                f"{directory}: holds a run of {before['steps']:,} steps, and {run.steps:,} were asked for; "
+                "a run can be made longer, not shorter"
+            )
     write_json(path, {"run": settings, "algorithm": dataclasses.asdict(run.algorithm())})
 
 

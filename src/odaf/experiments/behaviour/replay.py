@@ -13,7 +13,7 @@ class Replay:
     """Steps of one run as packed rows: what the learner reads, then the ends and the body for later use.
 
     The file holds as many rows as the run has steps, so nothing is ever overwritten: the first N rows are the replay
-    buffer as it was after N steps.
+    buffer as it was after N steps. A file that holds fewer grows when a run is made longer.
     """
 
     def __init__(self, path: Path, task: Task, capacity: int):
@@ -23,8 +23,15 @@ class Replay:
         shape = (capacity, self.width + 1 + body)
         if path.exists():
             self.rows = np.load(path, mmap_mode="r+", allow_pickle=False)
-            if self.rows.shape != shape:
+            if self.rows.shape[1:] != shape[1:] or len(self.rows) > capacity:
                 raise ValueError(f"{path}: holds {self.rows.shape}, expected {shape}; remove the folder to start anew")
+            if len(self.rows) < capacity:
+                longer = path.with_suffix(".longer.npy")
+                rows = np.lib.format.open_memmap(longer, mode="w+", dtype=np.float32, shape=shape)
+                rows[: len(self.rows)] = self.rows
+                rows.flush()
+                longer.replace(path)
+                self.rows = np.load(path, mmap_mode="r+", allow_pickle=False)
         else:
             self.rows = np.lib.format.open_memmap(path, mode="w+", dtype=np.float32, shape=shape)
 
