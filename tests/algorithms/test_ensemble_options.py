@@ -11,6 +11,7 @@ import pytest
 from golden import networks, tiny
 from odaf.algorithms.ensemble_sac import EnsembleSAC
 from odaf.algorithms.terms import OODPessimism
+from odaf.algorithms.terms.ood_pessimism import Easing
 from odaf.components.critics import init_critics
 from odaf.errors import ConfigError
 
@@ -143,6 +144,7 @@ def test_pessimism_eases_where_the_policys_values_fall(slope):
 def test_easing_stops_at_its_least_and_reaches_the_loss():
     term = OODPessimism(adaptive=True, deviations=0.21, final_deviations=0.21)
     memory = term.first_memory()
+    assert isinstance(memory, Easing)
     with tiny.exactly():
         learner = _learner(terms=(term,))
         state = tiny.state_of(learner, side=((),))

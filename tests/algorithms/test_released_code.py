@@ -1,6 +1,7 @@
 """`odaf-demo` against the released code's losses, derived anew in NumPy, on fixed tensors."""
 
 import functools
+from typing import Any
 
 import jax
 import jax.random as jr
@@ -8,7 +9,7 @@ import numpy as np
 
 from golden import dynamics, released_code, tiny
 from odaf.algorithms import config
-from odaf.algorithms.ensemble_sac import _key_for
+from odaf.algorithms.ensemble_sac import EnsembleSAC, _key_for
 from odaf.components.perturbations import draw_offsets
 from odaf.experiments import presets
 
@@ -33,7 +34,8 @@ SMALL = {
 
 def _setting():
     learner = config.replace(presets.load("odaf-demo"), SMALL)
-    terms = {term.name: term for term in learner.terms}
+    assert isinstance(learner, EnsembleSAC)
+    terms: dict[str, Any] = {term.name: term for term in learner.terms}
     model = tiny.dynamics_model(terms["outcome"].dynamics, 5)
     state = tiny.state_of(learner, side=tuple(model if name == "outcome" else () for name in terms))
     return learner, terms, model, state, tiny.batch()

@@ -14,8 +14,10 @@ from odaf.cli.results import number
 
 @dataclass(frozen=True)
 class TrainOptions:
-    """Train a behaviour policy online, with truncated quantile critics. A run that was stopped goes on; more --steps make
-    it longer."""
+    """Train a behaviour policy online, with truncated quantile critics.
+
+    A run that was stopped goes on, and more --steps make a finished one longer.
+    """
 
     task: tyro.conf.Positional[Literal["halfcheetah", "hopper", "walker2d"]]
     """What to learn."""
