@@ -1,7 +1,7 @@
 """What the studies share: runs that go on where they stopped, and a record of each that is written once.
 
-A study is a list of `StudyRun`s. The results directory holds one JSON file a run, and everything else there is drawn from
-those files. Data and run directories lie in a work directory and may be thrown away once the records are there.
+A study is a list of `StudyRun`s. The results directory holds one JSON file a run, and everything else there is drawn
+from those files. Data and run directories lie in a work directory and may be thrown away once the records are there.
 """
 
 import json
@@ -101,12 +101,12 @@ def read_records(out: Path) -> list[dict[str, Any]]:
     return [json.loads(path.read_text(encoding="utf-8")) for path in sorted(out.glob("*-seed*.json"))]
 
 
-def grouped(records: Sequence[dict[str, Any]], *fields: str) -> dict[tuple[Any, ...], list[dict[str, Any]]]:
-    """Records with equal values in `fields`, in the order in which they first appear."""
-    groups: dict[tuple[Any, ...], list[dict[str, Any]]] = {}
+def grouped(records: Sequence[dict[str, Any]], key: Callable[[dict[str, Any]], Any]) -> dict[Any, list[dict[str, Any]]]:
+    """Records with equal keys, in the order of the keys."""
+    groups: dict[Any, list[dict[str, Any]]] = {}
     for record in records:
-        groups.setdefault(tuple(record[field] for field in fields), []).append(record)
-    return groups
+        groups.setdefault(key(record), []).append(record)
+    return dict(sorted(groups.items()))
 
 
 def chosen_phases(

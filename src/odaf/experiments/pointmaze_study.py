@@ -5,6 +5,7 @@ are not repeated; a run that was stopped goes on from its last checkpoint.
 """
 
 from collections.abc import Sequence
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -76,7 +77,7 @@ def table(records: Sequence[dict[str, Any]]) -> str:
         "| maze | method | updates | seeds | return | 95 % interval | worst seed | stitched | success | updates/s |",
         "|---|---|---|---|---|---|---|---|---|---|",
     ]
-    for (maze, method, steps), group in sorted(grouped(records, "maze", "method", "steps").items()):
+    for (maze, method, steps), group in grouped(records, itemgetter("maze", "method", "steps")).items():
         returns = [record["final"]["mean_return"] for record in group]
         estimate = t_interval(returns)
         interval = f"[{estimate.low:.1f}, {estimate.high:.1f}]" if len(group) > 1 else "one seed"
