@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 
 from odaf.errors import ConfigError, DivergenceError
+from odaf.evaluation.rollouts import Rollouts
 from odaf.experiments import fit as fitting
 from odaf.experiments import ledger
 from odaf.experiments.ledger import StudyRun, chosen_phases
@@ -52,8 +53,8 @@ def test_a_lost_run_is_recorded_without_the_score_of_an_earlier_checkpoint(
     monkeypatch.setattr(fitting, "load_run", lambda directory: files)
     (tmp_path / "environment.json").write_text('{"python": "", "versions": {}, "device": "", "platform": ""}')
     with pytest.raises(DivergenceError):  # lost in pretraining: there is no run to record
-        ledger.train_while_finite(PLAIN, tmp_path, None, tmp_path, None)
+        ledger.train_while_finite(PLAIN, tmp_path, None, tmp_path, Rollouts())
     (tmp_path / PLAIN.title).mkdir()
     (tmp_path / PLAIN.title / "config.json").write_text("{}")
-    facts = ledger.run_facts(PLAIN, ledger.train_while_finite(PLAIN, tmp_path, None, tmp_path, None))
+    facts = ledger.run_facts(PLAIN, ledger.train_while_finite(PLAIN, tmp_path, None, tmp_path, Rollouts()))
     assert (facts["status"], facts["updates"], facts["final"]) == ("diverged", 7, None)
