@@ -7,7 +7,7 @@ import pytest
 
 from odaf.environments import stitch_data
 from odaf.experiments import pointmaze_study
-from odaf.experiments.pointmaze_study import StudyRun
+from odaf.experiments.ledger import StudyRun
 
 
 @pytest.fixture
@@ -51,7 +51,7 @@ def test_records_table_and_continuation(tmp_path: Path) -> None:
 def test_plan_continues_only_what_an_earlier_phase_made() -> None:
     done: dict[tuple[str, str, int], int] = {}
     for phase in pointmaze_study.plan():
-        keys = [(run.method, run.maze, run.seed) for run in phase]
+        keys = [(run.method, run.task, run.seed) for run in phase]
         assert len(set(keys)) == len(keys)  # two runs of a phase may be under way at once
         for run, key in zip(phase, keys, strict=True):
             assert run.steps > done.get(key, 0)

@@ -15,12 +15,12 @@ from typing import Any
 from odaf.environments.locomotion_data import NAMES, generate, split_name
 from odaf.environments.shipped_policies import shipped
 from odaf.errors import ConfigError
+from odaf.experiments.ledger import LOCAL
 from odaf.experiments.workers import run_jobs
 from odaf.training.files import write_json
 
 TRANSITIONS = 100_000
 SEED = 0
-LOCAL = "locally generated data"
 
 
 def run(out: Path, workers: int = 1) -> None:

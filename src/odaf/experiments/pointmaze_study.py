@@ -4,45 +4,18 @@ One JSON file a run under the results directory, a table and a figure drawn from
 are not repeated; a run that was stopped goes on from its last checkpoint.
 """
 
-import json
-import math
-import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from odaf.experiments.workers import run_jobs
-from odaf.training.files import write_json
+from odaf.experiments.ledger import LOCAL, StudyRun, grouped, measure_missing, read_records, run_facts, train
 
 DATA_SEED = 0
 EPISODES = 50
 EVALUATE_EVERY = 5_000
-CHECKPOINT_EVERY = 5_000
-LOCAL = "locally generated data"
-
-
-@dataclass(frozen=True)
-class StudyRun:
-    """One policy to train and score."""
-
-    preset: str
-    maze: str
-    seed: int
-    steps: int
-    changes: tuple[tuple[str, Any], ...] = ()  # settings other than the preset's
-
-    @property
-    def method(self) -> str:
-        """The preset and what is changed in it, as in `odaf-return_steps-5`."""
-        return "-".join([self.preset, *(f"{field}-{value}" for field, value in self.changes)])
-
-    @property
-    def name(self) -> str:
-        """File name of its record, without the ending."""
-        return f"{self.maze}-{self.method}-seed{self.seed}-{self.steps}"
 
 
 def plan() -> list[list[StudyRun]]:
@@ -83,24 +56,12 @@ def run(out: Path, workers: int = 1, work: Path | None = None) -> None:
         work: directory of data and run directories; None takes `runs/pointmaze`.
     """
     work = Path("runs/pointmaze") if work is None else work
-    runs = [job for phase in plan() for job in phase]
-    missing = [job for job in runs if not (out / f"{job.name}.json").exists()]
-    print(f"{len(missing)} of {len(runs)} runs to go; records in {out}", file=sys.stderr)
-    for maze in sorted({job.maze for job in missing}):
-        _data_file(work, maze)
-    for phase in plan():
-        jobs = [(job, out, work) for job in phase if job in missing]
-        for (job, _, _), record in run_jobs(_measure, jobs, workers):
-            final = record["final"]
-            print(f"{job.name}: {final['mean_return']:.1f} +- {final['std_return']:.1f}", file=sys.stderr)
-            summarise(out)
-    summarise(out)
+    measure_missing(_measure, plan(), out, work, workers=workers, prepare=data_file, summarise=summarise)
 
 
 def summarise(out: Path) -> None:
     """Draw `table.md` and `figure.png` from the records in `out`."""
-    records = [json.loads(path.read_text(encoding="utf-8")) for path in sorted(out.glob("*-seed*.json"))]
-    out.mkdir(parents=True, exist_ok=True)
+    records = read_records(out)
     (out / "table.md").write_text(table(records), encoding="utf-8")
     _figure(records, out / "figure.png")
 
@@ -116,10 +77,7 @@ def table(records: Sequence[dict[str, Any]]) -> str:
         "| maze | method | updates | seeds | return | 95 % interval | worst seed | stitched | success | updates/s |",
         "|---|---|---|---|---|---|---|---|---|---|",
     ]
-    groups: dict[tuple[str, str, int], list[dict[str, Any]]] = {}
-    for record in records:
-        groups.setdefault((record["maze"], record["method"], record["steps"]), []).append(record)
-    for (maze, method, steps), group in sorted(groups.items()):
+    for (maze, method, steps), group in grouped(records, itemgetter("maze", "method", "steps")).items():
         returns = [record["final"]["mean_return"] for record in group]
         estimate = t_interval(returns)
         interval = f"[{estimate.low:.1f}, {estimate.high:.1f}]" if len(group) > 1 else "one seed"
@@ -173,41 +131,7 @@ def _figure(records: Sequence[dict[str, Any]], out: Path) -> None:
     learning_curves_figure(curves, out, references, title="Stitching maze", note=LOCAL)
 
 
-def _measure(job: tuple[StudyRun, Path, Path]) -> dict[str, Any]:
-    """Train (or continue) one run and write its record."""
-    study, out, work = job
-    from odaf.evaluation import Rollouts
-    from odaf.experiments import presets
-    from odaf.experiments.fit import fit, resume
-
-    directory = work / f"{study.maze}-{study.method}-seed{study.seed}"
-    if _steps_of(directory) < study.steps:
-        run = resume(directory, study.steps)
-    else:
-        run = fit(
-            presets.load(study.preset, dict(study.changes)),
-            _data_file(work, study.maze),
-            steps=study.steps,
-            seeds=[study.seed],
-            directory=directory,
-            evaluate=Rollouts(episodes=EPISODES, every=EVALUATE_EVERY),
-            checkpoint_every=CHECKPOINT_EVERY,
-            preset=study.preset,
-        )
-    record = _record(study, run)
-    out.mkdir(parents=True, exist_ok=True)
-    write_json(out / f"{study.name}.json", record)
-    return record
-
-
-def _steps_of(directory: Path) -> float:
-    """Updates that the run in `directory` was made for; infinity where there is none to make longer."""
-    from odaf.experiments.fit import load_run
-
-    return load_run(directory).config["steps"] if (directory / "config.json").exists() else math.inf
-
-
-def _data_file(work: Path, maze: str) -> Path:
+def data_file(work: Path, maze: str) -> Path:
     """The maze's logged episodes, generated when they are not there yet."""
     path = work / f"{maze}.h5"
     if not path.exists():
@@ -218,52 +142,35 @@ def _data_file(work: Path, maze: str) -> Path:
     return path
 
 
-def _direct_returns(maze: str) -> dict[str, float]:
-    """What the scripted driver earns when it is sent straight to the goal's cell, or to the hidden target."""
+def data_figures(run: Any, maze: str) -> dict[str, Any]:
+    """What a record keeps of the data: their returns, and what the scripted driver earns who is sent straight to the
+    goal's cell (`direct_return`) or to the hidden target (`ceiling`)."""
     from odaf.environments.stitch_data import CONFIGS, direct_controller_return
 
+    summary = run.data["summary"]
+    direct, ceiling = (
+        float(direct_controller_return(CONFIGS[maze], EPISODES, knows_target=knows).mean()) for knows in (False, True)
+    )
     return {
-        name: float(direct_controller_return(CONFIGS[maze], EPISODES, knows_target=knows).mean())
-        for name, knows in (("direct_return", False), ("ceiling", True))
+        **{key: summary[key] for key in ("transitions", "episodes", "mean_return", "best_return")},
+        "direct_return": direct,
+        "ceiling": ceiling,
     }
 
 
-def _record(study: StudyRun, run: Any) -> dict[str, Any]:
-    """What the ledger keeps of a run: scores, settings, versions, data fingerprint; no path of this machine."""
-    summary = run.summary[study.seed]
-    versions = json.loads((run.directory / "environment.json").read_text(encoding="utf-8"))
-    figures = run.data["summary"]
+def _measure(study: StudyRun, work: Path) -> dict[str, Any]:
+    """Train (or continue) one run and return its record."""
+    from odaf.evaluation import Rollouts
+    from odaf.experiments import presets
+
+    learner = presets.load(study.preset, dict(study.changes))
+    evaluate = Rollouts(episodes=EPISODES, every=EVALUATE_EVERY)
+    run = train(study, work, learner, data_file(work, study.task), evaluate)
+    facts = run_facts(study, run)
     return {
         "study": "pointmaze",
-        "maze": study.maze,
-        "preset": study.preset,
-        "changes": dict(study.changes),
-        "method": study.method,
-        "seed": study.seed,
-        "steps": study.steps,
+        "maze": study.task,
         "command": "odaf reproduce pointmaze",
-        "data": {
-            "origin": LOCAL,
-            "sha256": run.data["sha256"],
-            **{key: figures[key] for key in ("transitions", "episodes", "mean_return", "best_return")},
-            **_direct_returns(study.maze),
-        },
-        "final": summary["evaluation"],
-        "evaluations": [
-            {
-                "step": line["step"],
-                "mean_return": line["evaluation/return_mean"],
-                "std_return": line["evaluation/return_std"],
-                "success_rate": line.get("evaluation/success_rate"),
-                "stitched_rate": line.get("evaluation/stitched_rate"),
-            }
-            for line in run.metrics(study.seed)
-            if "evaluation/return_mean" in line
-        ],
-        "updates_per_second": summary["updates_per_second"],
-        "seconds": summary["seconds"],
-        "pretrain": summary["pretrain"],
-        "warnings": summary["warnings"],
-        "algorithm": run.config["algorithm"],
-        "versions": {key: versions[key] for key in ("python", "versions", "device", "platform")},
+        **facts,
+        "data": {**facts["data"], **data_figures(run, study.task)},
     }
