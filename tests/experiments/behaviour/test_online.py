@@ -10,10 +10,11 @@ import pytest
 from odaf.environments.locomotion import TASKS, Simulator
 from odaf.environments.locomotion_acceptance import PUBLISHED
 from odaf.errors import ConfigError
+from odaf.evaluation.reference_returns import REFERENCES
 from odaf.experiments.behaviour import online
 from odaf.experiments.behaviour.exact_replay import exact_replay
-from odaf.experiments.behaviour.export import export
-from odaf.experiments.behaviour.online import OnlineRun, load_policy, returns_of, train
+from odaf.experiments.behaviour.export import _nearest, export
+from odaf.experiments.behaviour.online import OnlineRun, Played, load_policy, play, train
 from odaf.experiments.behaviour.replay import Replay, unpack
 
 TINY = OnlineRun(
@@ -143,7 +144,8 @@ def test_packed_rows_unpack_into_the_learners_columns(tmp_path):
 def test_returns_of_a_policy_end_with_its_episodes(finished):
     policy = load_policy(finished / "snapshots" / "00000120.npz")
     bodies = [Simulator(TASKS["hopper"]) for _ in range(2)]
-    both, again = returns_of(policy, bodies, seed=1), returns_of(policy, bodies, seed=1)
+    played = play(policy, bodies, seed=1)
+    both, again = played.returns, play(policy, bodies, seed=1).returns
     np.testing.assert_array_equal(both, again)
     rng = np.random.default_rng(1)
     observation, total = bodies[0].reset(int(rng.integers(2**31))), 0.0
@@ -179,16 +181,33 @@ def test_export_of_a_run_that_reached_its_levels(finished, tmp_path, monkeypatch
         for path in (finished / "snapshots").iterdir()
     }
 
-    def returns(policy, simulators, seed, stochastic):
+    def played(policy, simulators, seed, stochastic):
         score = scores[marks[float(policy.weights[0][0, 0])]] + 5.0 * (1.0 - policy.spread) / 0.15
-        return np.full(len(simulators), -20.272305 + score / 100 * 3254.572305)
+        returns = np.full(len(simulators), -20.272305 + score / 100 * 3254.572305)
+        return Played(returns, np.full(len(simulators), 500), 0.002 if score < 60 else 0.0)
 
-    monkeypatch.setattr("odaf.experiments.behaviour.export.returns_of", returns)
+    monkeypatch.setattr("odaf.experiments.behaviour.export.play", played)
     facts = export(finished, tmp_path / "policies", tmp_path / "ledger")
     assert (facts["medium"]["step"], facts["medium"]["spread"]) == (80, 1.0)
     assert (facts["expert"]["step"], facts["expert"]["spread"], facts["expert"]["reached"]) == (120, 0.85, True)
     assert [phase["steps"] for phase in facts["replay"]] == [40, 20, 20]
     assert [phase["index"] for phase in facts["replay"]] == [None, 0, 0]
+
+
+@pytest.mark.parametrize(("falls", "step"), [((0.0, 0.1), 80), ((0.01, 0.1), 100), ((0.2, 0.3), 80)])
+def test_of_two_near_snapshots_the_one_that_falls_as_often_is_taken(finished, monkeypatch, falls, step):
+    """Snapshot 80 scores 44.3 and never falls, snapshot 100 scores 45.8 and falls in one row of fifty."""
+    made_up = {80: (44.3, 0.0), 100: (45.8, 0.02)}
+    policies = {step: load_policy(finished / "snapshots" / f"{step:08d}.npz") for step in made_up}
+    marks = {float(policy.weights[0][0, 0]): step for step, policy in policies.items()}
+
+    def played(policy, simulators, seed, stochastic):
+        score, share = made_up[marks[float(policy.weights[0][0, 0])]]
+        return Played(np.full(2, -20.272305 + score / 100 * 3254.572305), np.full(2, 500), share)
+
+    monkeypatch.setattr("odaf.experiments.behaviour.export.play", played)
+    level = _nearest(policies, [], REFERENCES[TASKS["hopper"].family], 44.32, falls)
+    assert level.step == step
 
 
 def test_the_exact_replay_is_the_buffer_up_to_the_medium_point(finished, monkeypatch):

@@ -2,7 +2,8 @@
 
 Levels are those of the published sets. A level is looked for among all snapshots with stochastic actions and a few
 episodes each; the nearest ones are measured with more episodes and with their noise a little narrower or wider, since
-the public policies' noise is not known; the nearest of those is taken, and as trained where that is near enough.
+the public policies' noise is not known. Of those that fall about as often as the published set's the nearest is taken,
+and as trained where that is near enough; if none falls so often, the nearest of all.
 """
 
 import itertools
@@ -16,18 +17,19 @@ import numpy as np
 
 from odaf.environments.gaussian_policy import GaussianPolicy
 from odaf.environments.locomotion import Simulator, Task, task_of
-from odaf.environments.locomotion_acceptance import PUBLISHED
+from odaf.environments.locomotion_acceptance import PUBLISHED, terminal_limits
 from odaf.environments.shipped_policies import pack_policies
 from odaf.errors import ConfigError
 from odaf.evaluation.reference_returns import REFERENCES, Reference
-from odaf.experiments.behaviour.online import OnlineRun, curve_in, load_policy, returns_of, run_in
+from odaf.experiments.behaviour.online import OnlineRun, curve_in, load_policy, play, run_in
 from odaf.training.files import write_arrays, write_json
 from odaf.training.progress import ProgressReport, Silent
 
 FIRST_LOOK, CLOSE_LOOK = 5, 40  # episodes
-CANDIDATES = 4  # snapshots of a level that get a close look
+CANDIDATES = 8  # snapshots of a level that get a close look
 SPREADS = (1.0, 0.85, 0.7, 0.5, 1.15, 1.3, 1.5)
 NEAR = 1.0  # points from the target at which noise stays as trained
+ALIKE_WITHIN = 2.0  # points from the target up to which a right share of falls counts more than a nearer score
 EXPERT_MARGIN = 1.0  # points above the published set's mean that an expert is looked for at: rather better than worse
 MEDIUM_WITHIN, EXPERT_WITHIN = 5.0, 3.0  # points from the target at which a level counts as reached
 PHASES = 20  # snapshots that stand for the run up to the medium policy
@@ -44,6 +46,7 @@ class Level:
     mean_return: float
     std_return: float
     normalised_score: float
+    fall_share: float
 
 
 def export(directory: Path, policies: Path, ledger: Path, progress: ProgressReport | None = None) -> dict[str, Any]:
@@ -74,15 +77,16 @@ def export(directory: Path, policies: Path, ledger: Path, progress: ProgressRepo
     progress.start(f"{task.name} snapshots", len(loaded), unit="snapshots")
     looks: dict[int, float] = {}
     for step, policy in loaded.items():
-        returns = returns_of(policy, simulators[:FIRST_LOOK], SEED, stochastic=True)
+        returns = play(policy, simulators[:FIRST_LOOK], SEED, stochastic=True).returns
         looks[step] = reference.normalise(float(returns.mean()))
         progress.advance(len(looks), f"score {looks[step]:.1f}")
     progress.close()
 
     def search(level: str) -> Level:
-        target = PUBLISHED[f"{task.name}-{level}"][0] + (EXPERT_MARGIN if level == "expert" else 0.0)
+        target, falls = PUBLISHED[f"{task.name}-{level}"]
+        target += EXPERT_MARGIN if level == "expert" else 0.0
         near = sorted(looks, key=lambda step: (abs(looks[step] - target), step))[:CANDIDATES]
-        return _nearest({step: loaded[step] for step in near}, simulators, reference, target)
+        return _nearest({step: loaded[step] for step in near}, simulators, reference, target, terminal_limits(falls))
 
     medium, expert = search("medium"), search("expert")
     medium_target, expert_target = (PUBLISHED[f"{task.name}-{level}"][0] for level in ("medium", "expert"))
@@ -114,19 +118,29 @@ def export(directory: Path, policies: Path, ledger: Path, progress: ProgressRepo
 
 
 def _nearest(
-    candidates: dict[int, GaussianPolicy], simulators: Sequence[Simulator], reference: Reference, target: float
+    candidates: dict[int, GaussianPolicy],
+    simulators: Sequence[Simulator],
+    reference: Reference,
+    target: float,
+    falls: tuple[float, float],
 ) -> Level:
-    """The candidate and spread whose mean score is nearest to the target; the trained spread where that is near."""
+    """The candidate and spread whose mean score is nearest to the target, among those with a right share of falls."""
+
+    def distance(level: Level) -> float:
+        return abs(level.normalised_score - target)
+
     found: list[Level] = []
     for spread in SPREADS:
         for step, policy in candidates.items():
-            returns = returns_of(replace(policy, spread=spread), simulators, SEED + 1, stochastic=True)
-            mean, std = float(returns.mean()), float(returns.std())
-            found.append(Level(step, spread, len(returns), mean, std, reference.normalise(mean)))
-        best = min(found, key=lambda level: abs(level.normalised_score - target))
-        if abs(best.normalised_score - target) <= NEAR:
+            played = play(replace(policy, spread=spread), simulators, SEED + 1, stochastic=True)
+            mean, std = float(played.returns.mean()), float(played.returns.std())
+            score = reference.normalise(mean)
+            found.append(Level(step, spread, len(played.returns), mean, std, score, played.fall_share))
+        alike = [level for level in found if falls[0] <= level.fall_share <= falls[1]]
+        if alike and distance(best := min(alike, key=distance)) <= NEAR:
             return best
-    return min(found, key=lambda level: abs(level.normalised_score - target))
+    alike = [level for level in found if falls[0] <= level.fall_share <= falls[1] and distance(level) <= ALIKE_WITHIN]
+    return min(alike or found, key=distance)
 
 
 def _phases(run: OnlineRun, snapshots: Sequence[int], end: int) -> list[tuple[int, int | None]]:

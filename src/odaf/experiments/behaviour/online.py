@@ -176,14 +176,21 @@ def load_policy(path: Path) -> GaussianPolicy:
     return GaussianPolicy(weights, biases)
 
 
-def returns_of(
-    policy: GaussianPolicy, simulators: Sequence[Simulator], seed: int, stochastic: bool = False
-) -> np.ndarray:
-    """[bodies] undiscounted returns of one episode in each body, all in step, each from a start of its own."""
+@dataclasses.dataclass(frozen=True)
+class Played:
+    """One episode in each body: undiscounted returns and rows, both [bodies], and the share of all rows with a fall."""
+
+    returns: np.ndarray
+    lengths: np.ndarray
+    fall_share: float
+
+
+def play(policy: GaussianPolicy, simulators: Sequence[Simulator], seed: int, stochastic: bool = False) -> Played:
+    """One episode in each body, all in step, each from a start of its own."""
     episodes, act_dim = len(simulators), simulators[0].task.act_dim
     rng = np.random.default_rng(seed)
     observations = np.stack([simulator.reset(int(rng.integers(2**31))) for simulator in simulators])
-    returns, alive = np.zeros(episodes), np.ones(episodes, dtype=bool)
+    returns, lengths, alive = np.zeros(episodes), np.zeros(episodes, int), np.ones(episodes, dtype=bool)
     for _ in range(TIME_LIMIT):
         if stochastic:
             actions = policy.sample(observations, rng.standard_normal((episodes, act_dim), dtype=np.float32))
@@ -192,10 +199,12 @@ def returns_of(
         for index in np.flatnonzero(alive).tolist():
             observations[index], reward, terminated = simulators[index].step(actions[index])
             returns[index] += reward
+            lengths[index] += 1
             alive[index] = not terminated
         if not alive.any():
             break
-    return returns
+    falls = int(np.sum(lengths < TIME_LIMIT))  # at the last step the clock counts
+    return Played(returns, lengths, falls / int(lengths.sum()))
 
 
 def _play(run: OnlineRun, simulator: Simulator, policy: GaussianPolicy | None, replay: Replay, now: _Position) -> None:
@@ -236,7 +245,7 @@ def _compiled(
 
 
 def _evaluation(run: OnlineRun, task: Task, policy: GaussianPolicy) -> dict[str, Any]:
-    returns = returns_of(policy, [Simulator(task, run.version) for _ in range(run.episodes)], seed=run.seed)
+    returns = play(policy, [Simulator(task, run.version) for _ in range(run.episodes)], seed=run.seed).returns
     return {
         "environment": task.environment_id(run.version),
         "episodes": run.episodes,
