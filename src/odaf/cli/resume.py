@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 
 import tyro
 
+from odaf.cli.compilation_cache import use_compilation_cache
 from odaf.cli.interrupts import resumable
 from odaf.cli.options import parse
 from odaf.cli.results import print_run
@@ -21,6 +22,8 @@ class ResumeOptions:
     """Updates for each seed in all, to make the run longer; without it, the number it was begun with."""
     on_divergence: Annotated[Literal["warn", "stop"] | None, tyro.conf.arg(metavar="{warn,stop}")] = None
     """What to do when values leave the range that the rewards allow; without it, as the run was begun."""
+    compilation_cache: bool = True
+    """Keep compiled programs in the user's cache folder (ODAF_CACHE_DIR names another), for a quick start next time."""
     quiet: bool = False
     """Show no progress, only the result."""
 
@@ -31,6 +34,7 @@ def run(arguments: list[str]) -> None:
 
     from odaf.experiments.fit import resume
 
+    use_compilation_cache(options.compilation_cache)
     with resumable(options.directory):
         result = resume(
             options.directory, options.steps, on_divergence=options.on_divergence, progress=not options.quiet

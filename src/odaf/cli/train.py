@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
+from odaf.cli.compilation_cache import use_compilation_cache
 from odaf.cli.interrupts import resumable
 from odaf.cli.options import parse, settings_of, with_settings
 from odaf.cli.results import print_run
@@ -43,6 +44,8 @@ class RunOptions:
     """Updates between two checkpoints."""
     on_divergence: Literal["warn", "stop"] = "warn"
     """What to do when values leave the range that the rewards allow."""
+    compilation_cache: bool = True
+    """Keep compiled programs in the user's cache folder (ODAF_CACHE_DIR names another), for a quick start next time."""
     quiet: bool = False
     """Show no progress, only the result."""
 
@@ -72,6 +75,7 @@ def train(preset: str, algorithm: Any, options: RunOptions) -> None:
     from odaf.data import Dataset
     from odaf.experiments.fit import fit
 
+    use_compilation_cache(options.compilation_cache)
     dataset = Dataset.load(options.data)
     with resumable(options.out):
         result = fit(
