@@ -72,7 +72,8 @@ def test_second_process_finds_the_programs_of_the_first(data: Path, tmp_path: Pa
 
     # Without the cache nothing is read or written, even where JAX's own variable names a folder.
     other = tmp_path / "other"
-    unused = _train(data, tmp_path / "third", "--no-compilation-cache", JAX_COMPILATION_CACHE_DIR=str(other))
+    settings = {"JAX_COMPILATION_CACHE_DIR": str(other), "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
+    unused = _train(data, tmp_path / "third", "--no-compilation-cache", **settings)
     assert unused["hits"] == 0 and not _programs(other)
 
 
