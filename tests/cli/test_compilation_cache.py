@@ -82,11 +82,11 @@ def test_folder_that_cannot_be_made_costs_a_message_only(monkeypatch, tmp_path, 
 
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("ODAF_CACHE_DIR", str(tmp_path / "file"))
-    before = jax.config.jax_compilation_cache_dir
+    before = jax.config.values["jax_compilation_cache_dir"]
     jax.config.update("jax_compilation_cache_dir", None)
     try:
         compilation_cache.use_compilation_cache()
-        assert jax.config.jax_compilation_cache_dir is None
+        assert jax.config.values["jax_compilation_cache_dir"] is None
     finally:
         jax.config.update("jax_compilation_cache_dir", before)
     assert "ODAF_CACHE_DIR" in capsys.readouterr().err
@@ -96,10 +96,10 @@ def test_folder_that_is_set_already_stays(tmp_path, monkeypatch):
     import jax
 
     monkeypatch.setenv("ODAF_CACHE_DIR", str(tmp_path / "ours"))
-    before = jax.config.jax_compilation_cache_dir
+    before = jax.config.values["jax_compilation_cache_dir"]
     assert before is not None  # the tests' own
     compilation_cache.use_compilation_cache()
-    assert jax.config.jax_compilation_cache_dir == before and not (tmp_path / "ours").exists()
+    assert jax.config.values["jax_compilation_cache_dir"] == before and not (tmp_path / "ours").exists()
 
 
 @pytest.mark.skipif(sys.platform in ("darwin", "win32"), reason="the rules of XDG")
