@@ -34,6 +34,9 @@ class RunOptions:
     """Updates for each seed."""
     seeds: tuple[int, ...] = (0,)
     """One policy is trained for each; the same seed gives the same policy."""
+    workers: Annotated[int | None, tyro.conf.arg(metavar="INT")] = None
+    """Processes that train seeds side by side; without it, one for each seed up to the number of cores, or a single one
+    where an accelerator is used."""
     evaluate_every: int = 5_000
     """Updates between two evaluations; the last update is evaluated too. 0 never evaluates."""
     episodes: int = 50
@@ -74,6 +77,7 @@ def train(preset: str, algorithm: Any, options: RunOptions) -> None:
     """Train, then print where each seed stands."""
     from odaf.data import Dataset
     from odaf.experiments.fit import fit
+    from odaf.experiments.side_by_side import default_workers
 
     use_compilation_cache(options.compilation_cache)
     dataset = Dataset.load(options.data)
@@ -84,6 +88,7 @@ def train(preset: str, algorithm: Any, options: RunOptions) -> None:
             steps=options.steps,
             directory=options.out,
             seeds=options.seeds,
+            workers=default_workers(len(options.seeds)) if options.workers is None else options.workers,
             evaluate=_evaluation(options, dataset),
             checkpoint_every=options.checkpoint_every,
             on_divergence=options.on_divergence,
