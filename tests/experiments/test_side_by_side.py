@@ -161,12 +161,8 @@ def test_progress_of_all_seeds_is_one_line(monkeypatch: pytest.MonkeyPatch):
     now = [0.0]
     monkeypatch.setattr("time.monotonic", lambda: now[0])
 
-    class Seed:
-        def __init__(self, seed, step):
-            self.seed, self.step, self.steps = seed, step, 100
-
     stream = io.StringIO()
-    combined = CombinedProgress([Seed(3, 0), Seed(5, 20)], Lines(stream, interval=10.0))  # type: ignore[list-item]
+    combined = CombinedProgress({3: 0, 5: 20}, 100, Lines(stream, interval=10.0))
     reports = {seed: SeedReport(seed, combined.hear) for seed in (3, 5)}
     reports[3].start("seed 3: compiling", 0)
     reports[5].start("seed 5: training", 100, 20)

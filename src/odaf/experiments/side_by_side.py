@@ -70,7 +70,7 @@ def side_by_side(workers: int, data_path: str | os.PathLike[str] | None) -> Trai
             jax_settings={name: jax.config.values[name] for name in _JAX_SETTINGS},
         )
         _check_loggers(loggers)
-        combined, failures = CombinedProgress(seeds, first.progress), []
+        combined, failures = CombinedProgress({seed.seed: seed.step for seed in seeds}, first.steps, first.progress), []
         prepare = functools.partial(_prepare, shared)
         jobs = [seed.seed for seed in seeds]
         # The share of the cores follows from all seeds of the run, so that it is the same when only some are left.

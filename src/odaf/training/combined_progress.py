@@ -1,11 +1,11 @@
 """The progress of many seeds, each trained in a process of its own, as one line."""
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from odaf.training.progress import ProgressReport
-from odaf.training.seeds import SeedTraining, training_stage
+from odaf.training.seeds import training_stage
 
 _SECONDS_BETWEEN_NEWS = 0.2
 
@@ -46,16 +46,15 @@ class CombinedProgress:
     """Shows the sum of all seeds' updates, and beside it the latest news of any of them.
 
     Args:
-        seeds: those that are trained.
+        done: for each seed that is trained, the updates it has made already.
+        steps: updates for each seed.
         report: where the line is shown.
     """
 
-    def __init__(self, seeds: Sequence[SeedTraining], report: ProgressReport):
-        self._report = report
-        self._steps = {seed.seed: seed.steps for seed in seeds}
-        self._done = {seed.seed: seed.step for seed in seeds}
-        names = " ".join(map(str, self._steps)) if len(seeds) <= 8 else f"{len(seeds)} in all"
-        report.start(f"seeds {names}: training", sum(self._steps.values()), sum(self._done.values()))
+    def __init__(self, done: Mapping[int, int], steps: int, report: ProgressReport):
+        self._report, self._steps, self._done = report, steps, dict(done)
+        names = " ".join(map(str, done)) if len(done) <= 8 else f"{len(done)} in all"
+        report.start(f"seeds {names}: training", steps * len(done), sum(done.values()))
 
     def hear(self, news: tuple[int, str, str, int]) -> None:
         """Takes what a `SeedReport` told."""
@@ -70,5 +69,5 @@ class CombinedProgress:
 
     def finish(self, seed: int) -> None:
         """Says that a seed has made all its updates."""
-        self._done[seed] = self._steps[seed]
+        self._done[seed] = self._steps
         self._report.advance(sum(self._done.values()))
