@@ -93,7 +93,7 @@ for learner in (tiny.TinyLearner(), odaf.EnsembleSAC(num_critics=2, hidden_sizes
             np.testing.assert_allclose(theirs[name], ours[name], rtol=1e-5, atol=1e-6, err_msg=name)
     for ours, theirs in zip(leaves, sharded, strict=True):
         np.testing.assert_allclose(theirs, ours, rtol=1e-5, atol=1e-6)
-    text = loop.train_stretch.lower(fixed, state, mesh).compile().as_text()
+    text = loop.train_stretch.lower(fixed, state, mesh).compile().compiled.as_text()
     assert "all-reduce" in text, "the devices did not share the work"
 print("same")
 """
