@@ -1,5 +1,6 @@
 """Jobs side by side: results, order, failures, and workers that do not outlive their parent."""
 
+import functools
 import math
 import os
 import signal
@@ -10,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from odaf.experiments.workers import run_jobs
+from odaf.experiments.workers import run_jobs, tell
 
 PARENT = """
 import sys, time, os
@@ -42,17 +43,67 @@ def test_a_failing_job_raises() -> None:
         list(run_jobs(math.factorial, [-1, 2], 2))
 
 
-def test_workers_end_when_their_parent_is_killed(tmp_path: Path) -> None:
+def _halve(number: int) -> int:
+    for part in ("half of", number):
+        tell((number, part))
+    return number // 2
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_what_jobs_tell_is_heard_before_their_result(workers: int) -> None:
+    heard: list[tuple[int, object]] = []
+    for job, _ in run_jobs(_halve, [4, 6, 8], workers, hear=heard.append):
+        assert [part for number, part in heard if number == job] == ["half of", job]
+    assert len(heard) == 6
+
+
+_prepared: list[int] = []
+
+
+def _count_preparations(_: int) -> list[int]:
+    return list(_prepared)
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_preparation_comes_once_before_the_first_job_of_each_process(workers: int) -> None:
+    prepare = functools.partial(_prepare, 7)
+    assert [found for _, found in run_jobs(_count_preparations, [0, 1, 2], workers, prepare=prepare)] == [[7]] * 3
+    assert _prepared == ([7] if workers == 1 else [])
+    _prepared.clear()
+
+
+def _prepare(number: int) -> None:
+    _prepared.append(number)
+
+
+def test_single_job_runs_apart_when_it_has_to() -> None:
+    assert next(run_jobs(_process, [0], 2))[1] == os.getpid()
+    assert next(run_jobs(_process, [0], 2, always_apart=True))[1] != os.getpid()
+
+
+def _process(_: int) -> int:
+    return os.getpid()
+
+
+@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT])
+def test_workers_end_when_their_parent_is_killed_or_interrupted(tmp_path: Path, how: signal.Signals) -> None:
     (tmp_path / "parent.py").write_text(PARENT)
     (tmp_path / "sleepers.py").write_text(SLEEPERS)
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])}
-    process = subprocess.Popen([sys.executable, str(tmp_path / "parent.py"), str(tmp_path)], env=environment)
+    process = subprocess.Popen(
+        [sys.executable, str(tmp_path / "parent.py"), str(tmp_path)],
+        env=environment,
+        start_new_session=True,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
     notes = [tmp_path / "one", tmp_path / "two"]
     _until(lambda: all(note.exists() and note.read_text() for note in notes))
     workers = [int(note.read_text()) for note in notes]
     assert all(map(_runs, workers))
-    process.send_signal(signal.SIGKILL)
-    process.wait()
+    os.killpg(process.pid, how) if how == signal.SIGINT else process.kill()  # a terminal interrupts all of them
+    _, errors = process.communicate(timeout=30)
+    assert errors.count("Traceback") == (how == signal.SIGINT)  # the parent's own
     _until(lambda: not any(map(_runs, workers)))
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
+from odaf.cli.compilation_cache import use_compilation_cache
 from odaf.cli.interrupts import resumable
 from odaf.cli.options import parse, settings_of, with_settings
 from odaf.cli.results import print_run
@@ -33,6 +34,9 @@ class RunOptions:
     """Updates for each seed."""
     seeds: tuple[int, ...] = (0,)
     """One policy is trained for each; the same seed gives the same policy."""
+    workers: Annotated[int | None, tyro.conf.arg(metavar="INT")] = None
+    """Processes that train seeds side by side; without it, one for each seed up to the number of cores, or a single one
+    where an accelerator is used."""
     evaluate_every: int = 5_000
     """Updates between two evaluations; the last update is evaluated too. 0 never evaluates."""
     episodes: int = 50
@@ -43,6 +47,8 @@ class RunOptions:
     """Updates between two checkpoints."""
     on_divergence: Literal["warn", "stop"] = "warn"
     """What to do when values leave the range that the rewards allow."""
+    compilation_cache: bool = True
+    """Keep compiled programs in the user's cache folder (ODAF_CACHE_DIR names another), for a quick start next time."""
     quiet: bool = False
     """Show no progress, only the result."""
 
@@ -71,7 +77,9 @@ def train(preset: str, algorithm: Any, options: RunOptions) -> None:
     """Train, then print where each seed stands."""
     from odaf.data import Dataset
     from odaf.experiments.fit import fit
+    from odaf.experiments.side_by_side import default_workers
 
+    use_compilation_cache(options.compilation_cache)
     dataset = Dataset.load(options.data)
     with resumable(options.out):
         result = fit(
@@ -80,6 +88,7 @@ def train(preset: str, algorithm: Any, options: RunOptions) -> None:
             steps=options.steps,
             directory=options.out,
             seeds=options.seeds,
+            workers=default_workers(len(options.seeds)) if options.workers is None else options.workers,
             evaluate=_evaluation(options, dataset),
             checkpoint_every=options.checkpoint_every,
             on_divergence=options.on_divergence,

@@ -8,9 +8,9 @@ from typing import Any
 from odaf import training
 from odaf.algorithms.base import Algorithm
 from odaf.data.dataset import Dataset
-from odaf.environments.registry import make
-from odaf.evaluation.rollouts import RolloutEvaluator, Rollouts
+from odaf.evaluation.rollouts import Rollouts
 from odaf.evaluation.runs import Run
+from odaf.experiments.side_by_side import evaluator_of, side_by_side
 from odaf.training.fit import OnDivergence
 from odaf.training.logging import Logger
 from odaf.training.progress import ProgressReport
@@ -24,6 +24,7 @@ def fit(
     steps: int,
     directory: str | os.PathLike[str],
     seeds: Sequence[int] = (0,),
+    workers: int = 1,
     evaluate: Rollouts | None = None,
     checkpoint_every: int = 5000,
     stretch: int = 1000,
@@ -40,19 +41,22 @@ def fit(
         dataset: logged data, or the file that holds them; from a file, `resume` needs no more than the directory.
         steps: updates for each seed.
         directory: where the run is written; a run that is there already with the same settings is continued.
-        seeds: trained one after another.
+        seeds: one policy is trained for each.
+        workers: processes that train seeds side by side, each on its share of the cores; 1 trains them one after
+            another in this process. Fresh processes import the calling script again, so it must call `fit` below
+            `if __name__ == "__main__":`. A seed gets the same bits alone and beside others on equally many cores.
         evaluate: episodes to try policies in while they train; None tries none, for data without a simulator.
         checkpoint_every: updates between two checkpoints.
         stretch: updates in one compiled call.
         on_divergence: "warn" or "stop".
         progress: whether to show a progress bar.
         preset: name under which the settings are known.
-        loggers: receivers of metrics beside `metrics.jsonl`.
+        loggers: receivers of metrics beside `metrics.jsonl`; each worker has a copy.
         data_path: the file that `dataset` was read from, if it was given as an object.
     """
     if not isinstance(dataset, Dataset):
         data_path, dataset = dataset, Dataset.load(dataset)
-    evaluator = None if evaluate is None else _evaluator(evaluate.resolved(dataset.environment))
+    evaluator = None if evaluate is None else evaluator_of(evaluate.resolved(dataset.environment))
     try:
         files = training.fit(
             algorithm,
@@ -68,6 +72,7 @@ def fit(
             preset=preset,
             loggers=loggers,
             data_path=data_path,
+            train_seeds=side_by_side(workers, data_path),
         )
     finally:
         if evaluator is not None:
@@ -79,6 +84,7 @@ def resume(
     directory: str | os.PathLike[str],
     steps: int | None = None,
     *,
+    workers: int = 1,
     dataset: Dataset | str | os.PathLike[str] | None = None,
     on_divergence: OnDivergence | None = None,
     progress: bool | ProgressReport = True,
@@ -89,15 +95,18 @@ def resume(
     Args:
         directory: a run's directory.
         steps: updates for each seed in all, to make a run longer.
+        workers: as in `fit`; the bits of an unbroken run need the same number.
         dataset: needed only if the run was begun with data from memory, or their file has moved.
         on_divergence: None keeps the run's setting.
         progress: whether to show a progress bar.
         loggers: receivers of metrics beside `metrics.jsonl`.
     """
+    run = RunDirectory(Path(directory))
+    data_path = run.data["path"] if dataset is None else None if isinstance(dataset, Dataset) else dataset
     if dataset is not None and not isinstance(dataset, Dataset):
         dataset = Dataset.load(dataset)
-    settings: Mapping[str, Any] | None = RunDirectory(Path(directory)).config.get("evaluate")
-    evaluator = None if settings is None else _evaluator(Rollouts.from_dict(settings))
+    settings: Mapping[str, Any] | None = run.config.get("evaluate")
+    evaluator = None if settings is None else evaluator_of(Rollouts.from_dict(settings))
     try:
         files = training.resume(
             directory,
@@ -107,6 +116,7 @@ def resume(
             on_divergence=on_divergence,
             progress=progress,
             loggers=loggers,
+            train_seeds=side_by_side(workers, data_path),
         )
     finally:
         if evaluator is not None:
@@ -117,8 +127,3 @@ def resume(
 def load_run(directory: str | os.PathLike[str]) -> Run:
     """The run in `directory`, finished or not."""
     return Run(training.load_run(directory))
-
-
-def _evaluator(rollouts: Rollouts) -> RolloutEvaluator:
-    assert isinstance(rollouts.environment, Mapping)
-    return RolloutEvaluator(rollouts, make(rollouts.environment))

@@ -2,65 +2,139 @@
 
 import multiprocessing
 import os
+import pickle
+import signal
 import threading
-import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from typing import Any, TypeVar
 
 Job = TypeVar("Job")
 
+# How long news of a worker may wait to be heard.
+_SECONDS_BETWEEN_NEWS = 0.2
 
-def run_jobs(function: Callable[[Job], Any], jobs: Sequence[Job], workers: int) -> Iterator[tuple[Job, Any]]:
+# In a worker process: where `tell` puts its news.
+_news: Any = None
+
+
+def run_jobs(
+    function: Callable[[Job], Any],
+    jobs: Sequence[Job],
+    workers: int,
+    *,
+    prepare: Callable[[], object] | None = None,
+    hear: Callable[[Any], object] | None = None,
+    always_apart: bool = False,
+) -> Iterator[tuple[Job, Any]]:
     """Call `function` on every job and yield (job, result) as they finish.
 
     With one worker everything happens in this process. With more, each worker process is bound to its share of the
     cores before it loads an array library, so that workers do not fight over threads; jobs start in the given order.
-    Workers end with this process, however it ends.
+    Workers end with this process, however it ends, and at once when the caller gives up or is interrupted.
 
     Args:
         function: importable by name, so that a fresh process finds it.
         jobs: picklable descriptions.
         workers: processes at the same time.
+        prepare: picklable; called once in each process before its first job.
+        hear: called in this process with whatever jobs `tell`, in the order told by each.
+        always_apart: with several workers, a single job runs in a worker too, on the cores it would have beside others.
 
     Raises:
-        Whatever a job raises; jobs that have not started are then dropped.
+        Whatever a job raises; jobs that have not started are then dropped, and those that have are waited for.
     """
-    if workers <= 1 or len(jobs) <= 1:
-        for job in jobs:
-            yield job, function(job)
+    if workers <= 1 or (len(jobs) <= 1 and not always_apart):
+        yield from _one_by_one(function, jobs, prepare, hear)
         return
     context = multiprocessing.get_context("spawn")
-    numbers = context.Queue()
+    numbers, news = context.Queue(), context.SimpleQueue()
     for number in range(workers):
         numbers.put(number)
-    with ProcessPoolExecutor(workers, mp_context=context, initializer=_begin, initargs=(numbers, workers)) as pool:
+    leave, stay = context.Pipe(duplex=False)
+    begin = (leave, numbers, workers, news, pickle.dumps(prepare))
+    with leave, stay, ProcessPoolExecutor(workers, mp_context=context, initializer=_begin, initargs=begin) as pool:
         futures = {pool.submit(function, job): job for job in jobs}
+        waiting = set(futures)
         try:
-            for future in as_completed(futures):
-                yield futures[future], future.result()
-        except BaseException:
+            while waiting:
+                done, waiting = wait(waiting, timeout=_SECONDS_BETWEEN_NEWS, return_when=FIRST_COMPLETED)
+                while not news.empty():
+                    _hear(news.get(), hear)
+                for future in done:
+                    yield futures[future], future.result()
+        except Exception:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+        except BaseException:  # nobody waits for what is still running
+            stay.close()
             pool.shutdown(wait=False, cancel_futures=True)
             raise
 
 
-def _begin(numbers: Any, workers: int) -> None:
-    threading.Thread(target=_leave_with_parent, args=(os.getppid(),), daemon=True).start()
+def tell(news: Any) -> None:
+    """From inside a job: hand something picklable and small to the `hear` of whoever runs the jobs."""
+    if _news is not None:
+        _news.put(news)
+
+
+def cores() -> int:
+    """How many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _one_by_one(function: Any, jobs: Any, prepare: Any, hear: Any) -> Iterator[tuple[Any, Any]]:
+    global _news
+    before, _news = _news, _Here(hear)
+    try:
+        if prepare is not None:
+            prepare()
+        for job in jobs:
+            yield job, function(job)
+    finally:
+        _news = before
+
+
+class _Here:
+    """A queue whose other end is in this process."""
+
+    def __init__(self, hear: Callable[[Any], object] | None):
+        self._hear = hear
+
+    def put(self, news: Any) -> None:
+        _hear(news, self._hear)
+
+
+def _hear(news: Any, hear: Callable[[Any], object] | None) -> None:
+    if hear is not None:
+        hear(news)
+
+
+def _begin(leave: Any, numbers: Any, workers: int, news: Any, pickled: bytes) -> None:
+    global _news
+    # Ctrl-C on a terminal reaches every process; the parent alone decides what it means.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     _bind(numbers, workers)
+    threading.Thread(target=_leave_with_parent, args=(leave,), daemon=True).start()
+    _news = news
+    prepare = pickle.loads(pickled)  # our parent's own; what it imports starts its threads on our cores
+    if prepare is not None:
+        prepare()
 
 
-def _leave_with_parent(parent: int) -> None:
-    """End this process once its parent is gone: nobody is left to take its result."""
-    while os.getppid() == parent:
-        time.sleep(0.5)
-    os._exit(1)
+def _leave_with_parent(leave: Any) -> None:
+    """End this process once its parent has closed the other end, or is gone: nobody is left to take its result."""
+    try:
+        leave.recv()
+    except (EOFError, OSError):
+        os._exit(1)
 
 
 def _bind(numbers: Any, workers: int) -> None:
     """Give this process its share of the cores; where the system cannot bind processes, leave it unbound."""
     if not hasattr(os, "sched_setaffinity"):
         return
-    cores = sorted(os.sched_getaffinity(0))
-    share = max(1, len(cores) // workers)
-    first = numbers.get() * share % len(cores)
-    os.sched_setaffinity(0, cores[first : first + share])
+    available = sorted(os.sched_getaffinity(0))
+    share = max(1, len(available) // workers)
+    first = numbers.get() * share % len(available)
+    os.sched_setaffinity(0, available[first : first + share])

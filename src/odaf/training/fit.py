@@ -1,8 +1,7 @@
 """Training a learner on a dataset: one run directory, one or several seeds, resumable at any point."""
 
-import contextlib
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -15,12 +14,23 @@ from odaf.errors import ConfigError, DatasetError
 from odaf.training import run_directory
 from odaf.training.evaluator import Evaluator
 from odaf.training.files import plain, read_json, write_json
+from odaf.training.lock import locked
 from odaf.training.logging import Logger
 from odaf.training.progress import ProgressReport, default_progress
 from odaf.training.run_directory import RunDirectory
 from odaf.training.seeds import SeedTraining
 
 OnDivergence = Literal["warn", "stop"]
+# Brings the unfinished seeds of a run to their last step.
+TrainSeeds = Callable[[Sequence[SeedTraining], Dataset, Sequence[Logger]], None]
+
+
+def one_after_another(seeds: Sequence[SeedTraining], dataset: Dataset, loggers: Sequence[Logger]) -> None:
+    """Trains each seed to its end, in this process, before the next begins."""
+    run = seeds[0].run
+    columns = training_columns(dataset, run.normaliser, run.algorithm.return_steps, run.algorithm.discount)
+    for seed in seeds:
+        seed.go(dataset, columns, loggers)
 
 
 def fit(
@@ -38,6 +48,7 @@ def fit(
     preset: str | None = None,
     loggers: Sequence[Logger] = (),
     data_path: str | os.PathLike[str] | None = None,
+    train_seeds: TrainSeeds = one_after_another,
 ) -> RunDirectory:
     """Trains `algorithm` on `dataset` once for every seed and leaves all results in `directory`.
 
@@ -49,7 +60,7 @@ def fit(
         dataset: the logged data. If they are mixed per batch, so is each batch of the training.
         steps: updates for each seed.
         directory: where the run is written; must be empty, absent, or hold this very run.
-        seeds: distinct non-negative integers, trained one after another.
+        seeds: distinct non-negative integers.
         evaluate: measures the policy every `evaluate.every` updates and after the last; None measures nothing.
         checkpoint_every: updates between two checkpoints; there is always one before the first update and one after the
             last.
@@ -60,6 +71,7 @@ def fit(
         preset: name under which the settings are known, for the record.
         loggers: receivers of metrics beside `metrics.jsonl`.
         data_path: the file that `dataset` was read from, kept for `resume`.
+        train_seeds: how several seeds share the machine; by default each is trained to its end before the next begins.
 
     Raises:
         ConfigError: a setting is out of its range, or the directory holds something else.
@@ -84,9 +96,9 @@ def fit(
     path = Path(directory)
     run_directory.refuse_foreign(path)
     path.mkdir(parents=True, exist_ok=True)
-    with _locked(path):
+    with locked(path):
         run = run_directory.begin(path, plain(config), plain(data), dataset)
-        _train(run, dataset, evaluate, on_divergence, default_progress(progress), loggers)
+        _train(run, dataset, evaluate, on_divergence, default_progress(progress), loggers, train_seeds)
     return run
 
 
@@ -99,6 +111,7 @@ def resume(
     on_divergence: OnDivergence | None = None,
     progress: bool | ProgressReport = True,
     loggers: Sequence[Logger] = (),
+    train_seeds: TrainSeeds = one_after_another,
 ) -> RunDirectory:
     """Goes on exactly where the run in `directory` stopped; the result has the bits of a run that never stopped.
 
@@ -110,6 +123,7 @@ def resume(
         on_divergence: None keeps the run's setting. A warning that stopped the run once does not stop it again.
         progress: as in `fit`.
         loggers: as in `fit`.
+        train_seeds: as in `fit`.
 
     Raises:
         CheckpointError: the directory holds no run, or a damaged one.
@@ -125,7 +139,7 @@ def resume(
                 "or save them with Dataset.save and train from the file"
             )
         dataset = Dataset.load(run.data["path"])
-    _check_same_data(run, dataset)
+    check_same_data(run, dataset)
     if plain(None if evaluate is None else evaluate.to_dict()) != config["evaluate"]:
         raise ConfigError(
             f"{run.path}: evaluate: the run was begun with {config['evaluate']!r}; "
@@ -136,7 +150,7 @@ def resume(
             f"{run.path}: steps: {steps} asked, but the run is made for {config['steps']} and cannot be shortened; "
             "use an earlier checkpoint instead"
         )
-    with _locked(run.path):
+    with locked(run.path):
         if steps is not None and steps > config["steps"]:
             write_json(run.path / "config.json", {**config, "steps": int(steps)})
             run = RunDirectory(run.path)
@@ -150,7 +164,7 @@ def resume(
         if changes:
             report.message(f"{run.path}: {changes}; the run goes on, but not with the bits of an unbroken one")
         write_json(record, {**environment, "resumed": [*resumed, now]})
-        _train(run, dataset, evaluate, chosen, report, loggers)
+        _train(run, dataset, evaluate, chosen, report, loggers, train_seeds)
     return run
 
 
@@ -172,19 +186,17 @@ def _train(
     on_divergence: str,
     progress: ProgressReport,
     loggers: Sequence[Logger],
+    train_seeds: TrainSeeds,
 ) -> None:
-    columns = None
     run_directory.remove_unfinished(run.path, recursive=False)
+    seeds = [SeedTraining(run, seed, evaluate, on_divergence, progress) for seed in run.seeds]
+    for seed in seeds:
+        if seed.is_finished():
+            seed.write_summary()
+    unfinished = [seed for seed in seeds if not seed.is_finished()]
     try:
-        for seed in run.seeds:
-            training = SeedTraining(run, seed, evaluate, on_divergence, progress)
-            if training.is_finished():
-                training.write_summary()
-                continue
-            if columns is None:
-                learner = run.algorithm
-                columns = training_columns(dataset, run.normaliser, learner.return_steps, learner.discount)
-            training.go(dataset, columns, loggers)
+        if unfinished:
+            train_seeds(unfinished, dataset, loggers)
     finally:
         progress.close()
 
@@ -211,28 +223,15 @@ def _check_settings(
         raise ConfigError(f"on_divergence: must be 'warn' or 'stop', got {on_divergence!r}")
 
 
-def _check_same_data(run: RunDirectory, dataset: Dataset) -> None:
+def check_same_data(run: RunDirectory, dataset: Dataset) -> None:
+    """Makes sure that `dataset` is what the run was begun with.
+
+    Raises:
+        DatasetError: it is not.
+    """
     found, expected = dataset.fingerprint(), run.data["sha256"]
     if found != expected:
         raise DatasetError(
             f"{run.data['path'] or 'dataset'}: its fingerprint is {found[:12]}..., but {run.path} was begun with data "
             f"of fingerprint {expected[:12]}...; give the same data, or train into another directory"
         )
-
-
-@contextlib.contextmanager
-def _locked(path: Path) -> Iterator[None]:
-    """Keeps a second process out of the run directory; the lock vanishes with the process that holds it."""
-    try:
-        import fcntl
-    except ImportError:  # no such lock on this platform
-        yield
-        return
-    with (path / ".lock").open("w") as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            raise ConfigError(
-                f"{path}: another process is training in it; wait for it, or give another --out"
-            ) from None
-        yield

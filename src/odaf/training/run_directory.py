@@ -32,7 +32,7 @@ from odaf.data.dataset import Dataset
 from odaf.data.normalisation import Normaliser
 from odaf.data.spec import Spec
 from odaf.errors import CheckpointError, ConfigError
-from odaf.training import checkpoints, logging
+from odaf.training import checkpoints, lock, logging
 from odaf.training.checkpoints import Checkpoint
 from odaf.training.files import TEMPORARY_PREFIX, read_json, write_arrays, write_json
 from odaf.training.policy import Policy
@@ -42,7 +42,6 @@ VERSION = 1
 
 # Written in this order; the config comes last, so a directory that has one is complete.
 _FILES = ("environment.json", "data_sample.npz", "data.json", "config.json")
-_LOCK = ".lock"
 _PACKAGES = (
     "odaf", "jax", "jaxlib", "equinox", "optax", "numpy", "scipy", "h5py", "gymnasium", "gymnasium-robotics", "mujoco"
 )  # fmt: skip
@@ -207,7 +206,7 @@ def refuse_foreign(path: Path) -> None:
     foreign = sorted(
         child.name
         for child in path.iterdir()
-        if child.name not in (*_FILES, _LOCK) and not child.name.startswith(TEMPORARY_PREFIX)
+        if child.name not in (*_FILES, lock.NAME) and not child.name.startswith(TEMPORARY_PREFIX)
     )
     if foreign:
         raise ConfigError(

@@ -21,6 +21,11 @@ from odaf.training.progress import ProgressReport
 from odaf.training.run_directory import RunDirectory
 
 
+def training_stage(seed: int) -> str:
+    """What a progress report calls the stage that counts updates."""
+    return f"seed {seed}: training"
+
+
 @dataclass
 class _Record:
     """What a checkpoint remembers beside the state."""
@@ -119,7 +124,7 @@ class SeedTraining:
         began, here = time.perf_counter(), jnp.asarray(self.step)
         state, _ = jax.block_until_ready(loop.train_stretch((run.algorithm, columns, key, here, here), state))
         _add(seconds, "compile", time.perf_counter() - began)
-        self.progress.start(f"seed {self.seed}: training", self.steps, self.step)
+        self.progress.start(training_stage(self.seed), self.steps, self.step)
         while self.step < self.steps:
             stop = self._next_stop()
             fixed = (run.algorithm, columns, key, jnp.asarray(self.step), jnp.asarray(stop))
