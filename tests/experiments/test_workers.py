@@ -10,8 +10,9 @@ import time
 from pathlib import Path
 
 import pytest
+from golden import jobs
 
-from odaf.experiments.workers import run_jobs, tell
+from odaf.experiments.workers import run_jobs
 
 PARENT = """
 import sys, time, os
@@ -43,46 +44,25 @@ def test_a_failing_job_raises() -> None:
         list(run_jobs(math.factorial, [-1, 2], 2))
 
 
-def _halve(number: int) -> int:
-    for part in ("half of", number):
-        tell((number, part))
-    return number // 2
-
-
 @pytest.mark.parametrize("workers", [1, 2])
 def test_what_jobs_tell_is_heard_before_their_result(workers: int) -> None:
     heard: list[tuple[int, object]] = []
-    for job, _ in run_jobs(_halve, [4, 6, 8], workers, hear=heard.append):
+    for job, _ in run_jobs(jobs.halve, [4, 6, 8], workers, hear=heard.append):
         assert [part for number, part in heard if number == job] == ["half of", job]
     assert len(heard) == 6
 
 
-_prepared: list[int] = []
-
-
-def _count_preparations(_: int) -> list[int]:
-    return list(_prepared)
-
-
 @pytest.mark.parametrize("workers", [1, 2])
 def test_preparation_comes_once_before_the_first_job_of_each_process(workers: int) -> None:
-    prepare = functools.partial(_prepare, 7)
-    assert [found for _, found in run_jobs(_count_preparations, [0, 1, 2], workers, prepare=prepare)] == [[7]] * 3
-    assert _prepared == ([7] if workers == 1 else [])
-    _prepared.clear()
-
-
-def _prepare(number: int) -> None:
-    _prepared.append(number)
+    prepare = functools.partial(jobs.prepare, 7)
+    assert [found for _, found in run_jobs(jobs.preparations, [0, 1, 2], workers, prepare=prepare)] == [[7]] * 3
+    assert jobs.prepared == ([7] if workers == 1 else [])
+    jobs.prepared.clear()
 
 
 def test_single_job_runs_apart_when_it_has_to() -> None:
-    assert next(run_jobs(_process, [0], 2))[1] == os.getpid()
-    assert next(run_jobs(_process, [0], 2, always_apart=True))[1] != os.getpid()
-
-
-def _process(_: int) -> int:
-    return os.getpid()
+    assert next(run_jobs(jobs.process, [0], 2))[1] == os.getpid()
+    assert next(run_jobs(jobs.process, [0], 2, always_apart=True))[1] != os.getpid()
 
 
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT])

@@ -19,10 +19,10 @@ class SeedReport:
     """
 
     def __init__(self, seed: int, tell: Callable[[tuple[int, str, str, int]], Any]):
-        self._seed, self._tell, self._counts, self._told = seed, tell, False, 0.0
+        self._seed, self._tell, self._counts, self._total, self._told = seed, tell, False, 0, 0.0
 
     def start(self, stage: str, total: int, done: int = 0, unit: str = "updates") -> None:
-        self._counts = stage == training_stage(self._seed)
+        self._counts, self._total = stage == training_stage(self._seed), total
         if self._counts:
             self._tell((self._seed, "updates", "", done))
         else:
@@ -32,7 +32,7 @@ class SeedReport:
         if not self._counts:
             return
         now = time.monotonic()
-        if note or now - self._told >= _SECONDS_BETWEEN_NEWS:
+        if note or done >= self._total or now - self._told >= _SECONDS_BETWEEN_NEWS:
             self._told = now
             self._tell((self._seed, "updates", note, done))
 

@@ -1,0 +1,25 @@
+"""Jobs that a fresh process can import, for the tests of worker processes."""
+
+import os
+
+from odaf.experiments.workers import tell
+
+prepared: list[int] = []
+
+
+def prepare(number: int) -> None:
+    prepared.append(number)
+
+
+def preparations(_: int) -> list[int]:
+    return list(prepared)
+
+
+def halve(number: int) -> int:
+    for part in ("half of", number):
+        tell((number, part))
+    return number // 2
+
+
+def process(_: int) -> int:
+    return os.getpid()
