@@ -4,12 +4,18 @@ import subprocess
 import sys
 from typing import Any
 
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import jax.random as jr
 import pytest
 
 from odaf.algorithms import config
 from odaf.algorithms.behaviour_cloning import BehaviourCloning
 from odaf.algorithms.ensemble_sac import EnsembleSAC
 from odaf.algorithms.terms import OODPessimism, OutcomePenalty
+from odaf.data.spec import Spec
+from odaf.data.transitions import Transitions
 from odaf.errors import ConfigError
 from odaf.experiments import methods, presets
 
@@ -266,3 +272,21 @@ def test_the_released_codes_term_differs_from_the_printed_one():
         terms = _terms("odaf-demo", task)
         smoothing = terms["value_smoothing"]
         assert (terms["outcome"].radius, terms["outcome"].num_draws) == (smoothing.radius, smoothing.num_draws)
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_an_update_returns_the_types_that_it_takes(name):
+    """Else the second call would be compiled again."""
+    algorithm = presets.load(name, {"hidden_sizes": (8, 8), "batch_size": 4})
+    spec = Spec(3, 2, (-1.0, -1.0), (1.0, 1.0), 0.0, 1.0, False, 10)
+    state = algorithm.init(jr.key(0), spec, algorithm.untrained_side(jr.key(1), spec))
+    rows = Transitions(jnp.ones((4, 3)), jnp.zeros((4, 2)), jnp.ones(4), jnp.ones((4, 3)), jnp.zeros(4))
+    arrays, static = eqx.partition(state, eqx.is_array)
+
+    def update(arrays):
+        return eqx.partition(algorithm.update(eqx.combine(arrays, static), rows, jr.key(2))[0], eqx.is_array)[0]
+
+    def types(tree):
+        return [(leaf.shape, leaf.dtype, leaf.weak_type) for leaf in jax.tree.leaves(tree)]
+
+    assert types(jax.eval_shape(update, arrays)) == types(arrays)

@@ -10,8 +10,8 @@ import time
 from pathlib import Path
 
 import pytest
-from golden import jobs
 
+from golden import jobs
 from odaf.experiments.workers import run_jobs
 
 PARENT = """

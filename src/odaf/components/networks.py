@@ -99,7 +99,7 @@ def init_mlp(
         bound = output_bound if is_output and output_bound is not None else fan_in**-0.5
         weights.append(jr.uniform(key_weight, (*stack, fan_in, fan_out), minval=-bound, maxval=bound))
         if not is_output:
-            biases.append(jnp.full((*stack, fan_out), hidden_bias))
+            biases.append(jnp.full((*stack, fan_out), hidden_bias, dtype=jnp.float32))
         elif output_bound is None:
             biases.append(jnp.zeros((*stack, fan_out)))
         else:

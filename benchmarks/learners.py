@@ -1,0 +1,125 @@
+"""The learners that are timed, all on one problem: Hopper's shapes, batch 256, ten critics, three layers of 256."""
+
+import dataclasses
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import jax.random as jr
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from odaf.algorithms.base import Metrics
+from odaf.algorithms.terms.base import Context
+from odaf.algorithms.terms.outcome_penalty import OutcomePenalty
+from odaf.components.dynamics import DynamicsModel
+from odaf.components.targets import frozen
+from odaf.data.sampling import sample
+from odaf.data.spec import Spec
+from odaf.data.transitions import Transitions
+from odaf.experiments import presets
+
+SPEC = Spec(11, 3, (-1.0,) * 3, (1.0,) * 3, 0.0, 1.0, False, 1000)
+PROBLEM = {"hidden_sizes": (256, 256, 256), "num_critics": 10, "batch_size": 256}
+ROWS = 200_000
+
+# (state, batch, key) -> state
+Part = Callable[[Any, Transitions, PRNGKeyArray], Any]
+
+# Name in the table: preset, and what is changed beside the common problem.
+NAMES: dict[str, tuple[str, dict[str, Any]]] = {
+    "sac-n": ("sac-n", {}),
+    "edac": ("edac", {}),
+    "pbrl": ("pbrl", {}),
+    "odaf-base": ("odaf-without-outcome", {}),
+    "odaf-default": ("odaf", {}),
+    "odaf": ("odaf", {"outcome.num_states": None}),
+    "odaf-sampled": ("odaf", {"outcome.num_states": None, "outcome.solver": "sample", "outcome.num_draws": 20}),
+    "odaf-sampled-naive": ("odaf", {"outcome.num_states": None, "outcome.solver": "sample", "outcome.num_draws": 20}),
+    "odaf-paper": ("odaf-paper", {}),
+    "rorl": ("rorl", {}),
+    "odaf-demo": ("odaf-demo", {}),
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class NaiveOutcomePenalty(OutcomePenalty):
+    """The sample solver written down as in the paper: all draws at once, and the maximum over all of them derived."""
+
+    def worst_case(self, context: Context, side: DynamicsModel, key: PRNGKeyArray) -> Float[Array, " rows"]:
+        """Worst U over the draws; differentiated through every one of them."""
+        context, side = self._without_gradients(context), frozen(side)
+        states = context.batch.observations
+        rows, obs_dim = states.shape
+        key_noise, key_offsets = jr.split(key)
+        box = jr.uniform(key_offsets, (self.num_draws, rows, obs_dim), minval=-self.radius, maxval=self.radius)
+        noise = self._draw_noise(side, self.num_draws * rows, context.batch.actions.shape[1], key_noise)
+        perturbed = (states[None] + box).reshape(-1, obs_dim)
+        uncertainty = self.outcome_uncertainty(context, context.actor, side, perturbed, noise)
+        return jnp.max(uncertainty.reshape(self.num_draws, rows), axis=0)
+
+
+def load(name: str) -> Any:
+    """The learner of this name, on the common problem."""
+    preset, changes = NAMES[name]
+    algorithm = presets.load(preset, {**PROBLEM, **changes})
+    if name.endswith("-naive"):
+        terms = tuple(
+            NaiveOutcomePenalty(**{field.name: getattr(term, field.name) for field in dataclasses.fields(term)})
+            for term in algorithm.terms
+        )
+        algorithm = dataclasses.replace(algorithm, terms=terms)
+    return algorithm
+
+
+def columns() -> Transitions:
+    """Random transitions of the problem's shapes."""
+    keys = jr.split(jr.key(0), 4)
+    return Transitions(
+        jr.normal(keys[0], (ROWS, SPEC.obs_dim)),
+        jr.uniform(keys[1], (ROWS, SPEC.act_dim), minval=-1.0, maxval=1.0),
+        jr.uniform(keys[2], (ROWS,)),
+        jr.normal(keys[3], (ROWS, SPEC.obs_dim)),
+        jnp.zeros(ROWS),
+    )
+
+
+def state_of(algorithm: Any) -> Any:
+    """An untrained state, with untrained side models: their values do not change what an update costs."""
+    key = jr.key(1)
+    return algorithm.init(key, SPEC, algorithm.untrained_side(key, SPEC))
+
+
+def repeated(
+    algorithm: Any, rows: Transitions, part: Callable[[Any, Transitions, PRNGKeyArray], Any], state: Any
+) -> Any:
+    """A function of a number: make `part` that often in one compiled loop, on fresh batches, and wait for the end."""
+    arrays, static = eqx.partition(state, eqx.is_array)
+
+    @functools.partial(jax.jit, donate_argnums=1)
+    def stretch(rows: Transitions, arrays: Any, count: Array) -> Any:
+        def step(index: Array, arrays: Any) -> Any:
+            key_batch, key_update = jr.split(jr.fold_in(jr.key(2), index))
+            batch = sample(rows, key_batch, algorithm.batch_size)
+            return eqx.partition(part(eqx.combine(arrays, static), batch, key_update), eqx.is_array)[0]
+
+        return jax.lax.fori_loop(0, count, step, arrays)
+
+    carried = [jax.tree.map(jnp.copy, arrays)]
+
+    def call(count: int) -> None:
+        carried[0] = jax.block_until_ready(stretch(rows, carried[0], jnp.asarray(count)))
+
+    return call
+
+
+def updates(algorithm: Any, rows: Transitions) -> Callable[[int], None]:
+    """A function of a number that makes that many updates."""
+
+    def part(state: Any, batch: Transitions, key: PRNGKeyArray) -> Any:
+        new_state: tuple[Any, Metrics] = algorithm.update(state, batch, key)
+        return new_state[0]
+
+    return repeated(algorithm, rows, part, state_of(algorithm))
