@@ -38,6 +38,8 @@ NAMES: dict[str, tuple[str, dict[str, Any]]] = {
     "odaf": ("odaf", {"outcome.num_states": None}),
     "odaf-sampled": ("odaf", {"outcome.num_states": None, "outcome.solver": "sample", "outcome.num_draws": 20}),
     "odaf-sampled-naive": ("odaf", {"outcome.num_states": None, "outcome.solver": "sample", "outcome.num_draws": 20}),
+    "sac-n-bfloat16": ("sac-n", {"products": "bfloat16"}),
+    "odaf-bfloat16": ("odaf", {"outcome.num_states": None, "products": "bfloat16"}),
     "odaf-paper": ("odaf-paper", {}),
     "rorl": ("rorl", {}),
     "odaf-demo": ("odaf-demo", {}),

@@ -24,7 +24,6 @@ def show(name: str, rounds: int, seconds: float) -> dict[str, float]:
     for part, function in parts_of(algorithm).items():
         calls[part] = learners.repeated(algorithm, rows, function, learners.state_of(algorithm))
         calls[part](1)
-        calls[part](2)  # with the types that the first call returned
         counts[part] = max(1, round(2 * seconds / _seconds(calls[part], 2)))
     times: dict[str, list[float]] = {part: [] for part in calls}
     for _ in range(rounds):

@@ -7,8 +7,6 @@ the table. docs/speed.md says how to read the figures and where the time goes.
 
 import argparse
 import json
-import os
-import platform
 import statistics
 import subprocess
 import sys
@@ -23,6 +21,7 @@ import jax.random as jr
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks import learners, parts
+from benchmarks.machine import machine
 from benchmarks.operations import flop_per_update
 
 PRODUCTS = 50  # in one call of the ceiling
@@ -56,7 +55,6 @@ def measure(names: list[str], rounds: int, seconds: float) -> dict:
     for name in names:
         calls[name] = learners.updates(learners.load(name), rows)
         compiled[name] = seconds_of(lambda name=name: calls[name](1))
-        calls[name](2)  # with the types that the first call returned
         counts[name] = max(1, round(seconds / seconds_of(lambda name=name: calls[name](2)) * 2))
         print(f"{name:20} compiled in {compiled[name]:5.1f} s, {counts[name]} updates a round", flush=True)
     times: dict[str, list[float]] = {name: [] for name in names}
@@ -84,23 +82,6 @@ def measure(names: list[str], rounds: int, seconds: float) -> dict:
         counted = "" if work is None else f"{work / 1e9:7.2f} {speed * work / 1e9 / peak:6.0%}"
         print(f"{name:20} {speed:10.1f} {speeds[0]:9.1f} {speeds[-1]:9.1f} {counted}")
     return {"ceiling_gflops": peak, "learners": figures}
-
-
-def machine() -> dict[str, object]:
-    """What the figures were measured on."""
-    model = platform.processor()
-    if Path("/proc/cpuinfo").exists():
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-        model = next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), model)
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    return {
-        "platform": platform.platform(),
-        "processor": model,
-        "cores": cores,
-        "device": str(jax.devices()[0]),
-        "jax": jax.__version__,
-        "load_before": os.getloadavg()[0],
-    }
 
 
 def main(arguments: list[str] | None = None) -> None:

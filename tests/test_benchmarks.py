@@ -20,6 +20,7 @@ from benchmarks import learners, operations, parts  # noqa: E402
 SCRIPTS = {
     "load_dataset": ["--rows", "3000"],
     "import_table": ["--rows", "3000"],
+    "first_update": ["--rows", "3000", "--learners", "sac-n", "--updates", "2"],
     "updates_per_second": ["--learners", "sac-n", "--rounds", "1", "--seconds", "0.01"],
 }
 

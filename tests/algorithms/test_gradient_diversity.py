@@ -130,6 +130,18 @@ def test_the_gradient_reaches_the_critics_and_nothing_else(norm):
     assert not term.acts_on_actor and float(term.actor_loss(context, (), jr.key(0))[0]) == 0.0
 
 
+def test_slopes_are_compared_in_full_precision_where_critics_round_their_products():
+    context = _context("none")
+    rounding = dataclasses.replace(
+        context.critics, networks=dataclasses.replace(context.critics.networks, products="bfloat16")
+    )
+    loss = _loss(GradientDiversity(), context)
+    found, expected = (jax.value_and_grad(loss)(critics) for critics in (rounding, context.critics))
+    assert float(found[0]) == float(expected[0])
+    for here, there in zip(jax.tree.leaves(found[1]), jax.tree.leaves(expected[1]), strict=True):
+        np.testing.assert_array_equal(here, there)
+
+
 def test_a_negative_weight_is_refused():
     with pytest.raises(ConfigError, match="diversity.weight=-1.0"):
         GradientDiversity(weight=-1.0)

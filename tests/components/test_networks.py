@@ -57,3 +57,44 @@ def test_parameters_start_where_the_authors_of_the_family_start_them():
 
     first = np.asarray(stack.weights[0]).reshape(5, -1)  # 1,200 numbers a member: a correlation deviates by 0.03
     assert np.abs(np.corrcoef(first)[np.triu_indices(5, 1)]).max() < 0.15, "members are independent"
+
+
+def _rounded(numbers):
+    return np.asarray(numbers, dtype=jnp.bfloat16).astype(np.float64)
+
+
+@pytest.mark.parametrize("shape", [(7, 5), (3, 7, 5)])
+def test_rounded_products_round_their_factors_and_nothing_else(shape):
+    """Through one hidden product, forward and backward; everything else is worked out in double precision."""
+    stack = jax.jit(lambda: init_mlp(jr.key(2), (5, 6, 8, 1), members=3, products="bfloat16"))()
+    rows = np.random.default_rng(1).normal(size=shape).astype(np.float32)
+    slopes = np.random.default_rng(2).normal(size=(3, 7)).astype(np.float32)
+    values, pull_back = jax.vjp(lambda stack, rows: stack(rows)[..., 0], stack, jnp.asarray(rows))
+    gradient, row_gradient = pull_back(jnp.asarray(slopes))
+
+    row_sums = np.zeros(rows.shape)
+    for k in range(3):
+        w = [np.asarray(weight[k], np.float64) for weight in stack.weights]
+        b = [np.asarray(bias[k], np.float64) for bias in stack.biases]
+        x = rows if rows.ndim == 2 else rows[k]
+        first = np.maximum(x @ w[0] + b[0], 0.0)
+        second = np.maximum(_rounded(first) @ _rounded(w[1]) + b[1], 0.0)
+        np.testing.assert_allclose(values[k], (second @ w[2] + b[2])[:, 0], atol=2e-3)
+        back = (slopes[k][:, None] @ w[2].T) * (second > 0.0)
+        np.testing.assert_allclose(gradient.weights[1][k], _rounded(first).T @ _rounded(back), atol=2e-4)
+        through = (_rounded(back) @ _rounded(w[1]).T) * (first > 0.0)
+        np.testing.assert_allclose(gradient.weights[0][k], x.T @ through, atol=1e-3)
+        if rows.ndim == 2:
+            row_sums += through @ w[0].T
+        else:
+            row_sums[k] = through @ w[0].T
+    np.testing.assert_allclose(row_gradient, row_sums, atol=1e-3)
+
+
+def test_rounding_is_felt_and_small():
+    exact, rounded = (
+        jax.jit(lambda p=p: init_mlp(jr.key(2), (5, 64, 64, 1), products=p))() for p in ("float32", "bfloat16")
+    )
+    rows = jr.normal(jr.key(3), (50, 5))
+    difference = np.abs(np.asarray(exact(rows) - rounded(rows)))
+    assert 1e-6 < difference.max() < 0.02 * float(np.abs(exact(rows)).max())

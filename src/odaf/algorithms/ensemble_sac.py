@@ -36,6 +36,7 @@ from odaf.algorithms.terms.base import Context, Term
 from odaf.algorithms.warm_start import fit_to_log, returns_to_go
 from odaf.components.critics import CriticEnsemble, disagreement, init_critics
 from odaf.components.losses import ensemble_td_gradient, soft_actor_loss, temperature_loss
+from odaf.components.networks import Products
 from odaf.components.policies import GaussianActor, init_gaussian_actor
 from odaf.components.targets import bellman_target, copy_of, polyak, value_range
 from odaf.data.dataset import Dataset
@@ -82,6 +83,9 @@ class EnsembleSAC(Algorithm[EnsembleState]):
     the members differ where the log does not hold them together, so that their minimum is more cautious there."""
     prior_scale: float = 0.0
     """Factor of a fixed random network added to each critic and to its slow copy (PBRL-Prior 1.0); 0 adds none."""
+    products: Products = "float32"
+    """Format that the critics' hidden layers round the factors of their products to; sums, parameters and optimiser
+    stay in float32. "bfloat16" is faster on processors with instructions for it, see docs/speed.md."""
     target: Literal["min", "member"] = "min"
     """Values in the critics' targets: the lowest slow critic for all members, or each member's own slow copy."""
     target_deviations: float = 0.0
@@ -232,6 +236,7 @@ class EnsembleSAC(Algorithm[EnsembleState]):
             self.critic_norm,
             self.critic_output_bound,
             self.prior_scale,
+            self.products,
         )
         return init_gaussian_actor(key_actor, spec.obs_dim, spec.act_dim, self.hidden_sizes), critics
 

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import jax.random as jr
 from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 
-from odaf.components.networks import MLP, Norm, init_mlp
+from odaf.components.networks import MLP, Norm, Products, init_mlp
 from odaf.components.targets import frozen
 
 ROOT_EPSILON = 1e-12
@@ -121,6 +121,7 @@ def init_critics(
     norm: Norm,
     output_bound: float,
     prior_scale: float = 0.0,
+    products: Products = "float32",
 ) -> CriticEnsemble:
     """Draw `num_critics` independent Q-functions.
 
@@ -134,12 +135,14 @@ def init_critics(
         output_bound: the last layer is uniform in plus or minus this.
         prior_scale: factor of a fixed random network of the same shape, drawn like a hidden layer throughout, that is
             added to each member (Osband et al. 2018, randomised prior functions); 0 adds none.
+        products: what the products between hidden layers round their factors to.
     """
     sizes = (obs_dim + act_dim, *hidden_sizes, 1)
-    networks = init_mlp(key, sizes, members=num_critics, norm=norm, output_bound=output_bound)
+    networks = init_mlp(key, sizes, members=num_critics, norm=norm, output_bound=output_bound, products=products)
     if prior_scale == 0.0:
         return CriticEnsemble(networks)
-    return CriticEnsemble(networks, init_mlp(jr.fold_in(key, len(sizes)), sizes, members=num_critics), prior_scale)
+    priors = init_mlp(jr.fold_in(key, len(sizes)), sizes, members=num_critics, products=products)
+    return CriticEnsemble(networks, priors, prior_scale)
 
 
 def disagreement(values: Float[Array, "critics *rows"], ddof: int = 0) -> Float[Array, "*rows"]:

@@ -10,6 +10,7 @@ import jax.random as jr
 from jaxtyping import Array, Float, PRNGKeyArray
 
 Norm = Literal["none", "layer"]
+Products = Literal["float32", "bfloat16"]
 LAYER_NORM_EPSILON = 1e-5
 
 
@@ -25,6 +26,7 @@ class MLP(eqx.Module):
     scales: tuple[Float[Array, "*stack _fan_out"], ...]  # empty without layer normalisation
     offsets: tuple[Float[Array, "*stack _fan_out"], ...]
     activation: Literal["relu", "silu"] = eqx.field(static=True)
+    products: Products = eqx.field(static=True, default="float32")  # what hidden layers round their factors to
 
     def __call__(self, x: Float[Array, "*any rows fan_in"]) -> Float[Array, "*out rows fan_out"]:
         """Map rows through the network.
@@ -38,7 +40,8 @@ class MLP(eqx.Module):
         """
         last = len(self.weights) - 1
         for index, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
-            x = _product(x, weight) + _over_rows(bias)
+            rounded = self.products == "bfloat16" and 0 < index < last
+            x = (_rounded_product(x, weight) if rounded else _product(x, weight)) + _over_rows(bias)
             if index == last:
                 return x
             if self.scales:
@@ -48,9 +51,42 @@ class MLP(eqx.Module):
 
 
 def _product(x: Float[Array, "*a fan_in"], weight: Float[Array, "*b fan_out"]) -> Float[Array, "*c fan_out"]:
+    return x @ weight if weight.ndim == 2 else jnp.einsum(_equation(x, weight), x, weight)
+
+
+@jax.custom_vjp
+def _rounded_product(x: Float[Array, "*a fan_in"], weight: Float[Array, "*b fan_out"]) -> Float[Array, "*c fan_out"]:
+    """`_product` of factors rounded to bfloat16, summed in float32; the same in its backward pass.
+
+    The rule is written out because the one that JAX derives multiplies numbers of unlike types, which processors'
+    libraries do not. Reverse mode only.
+    """
+    return _mixed(_equation(x, weight), x, weight)
+
+
+def _rounded_forward(x: Array, weight: Array) -> tuple[Array, tuple[Array, Array]]:
+    rounded = x.astype(jnp.bfloat16), weight.astype(jnp.bfloat16)
+    return _mixed(_equation(x, weight), *rounded), rounded
+
+
+def _rounded_backward(factors: tuple[Array, Array], slope: Array) -> tuple[Array, Array]:
+    x, weight = factors
+    rows, columns, out = _equation(x, weight).replace("->", ",").split(",")
+    return _mixed(f"{out},{columns}->{rows}", slope, weight), _mixed(f"{rows},{out}->{columns}", x, slope)
+
+
+_rounded_product.defvjp(_rounded_forward, _rounded_backward)
+
+
+def _equation(x: Array, weight: Array) -> str:
     if weight.ndim == 2:
-        return x @ weight
-    return jnp.einsum("bi,kio->kbo" if x.ndim == 2 else "kbi,kio->kbo", x, weight)
+        return "bi,io->bo"
+    return "bi,kio->kbo" if x.ndim == 2 else "kbi,kio->kbo"
+
+
+def _mixed(equation: str, a: Array, b: Array) -> Array:
+    rounded = a.astype(jnp.bfloat16), b.astype(jnp.bfloat16)
+    return jnp.einsum(equation, *rounded, preferred_element_type=jnp.float32)
 
 
 def _over_rows(parameter: Float[Array, "*stack width"]) -> Float[Array, "*stack 1 width"]:
@@ -74,6 +110,7 @@ def init_mlp(
     activation: Literal["relu", "silu"] = "relu",
     hidden_bias: float = 0.1,
     output_bound: float | None = None,
+    products: Products = "float32",
 ) -> MLP:
     """Draw a network, or a stack of `members` independent ones.
 
@@ -86,6 +123,7 @@ def init_mlp(
         hidden_bias: initial value of every hidden bias.
         output_bound: the last layer's weights and biases are uniform in plus or minus this; None treats the last layer
             like a hidden one with a zero bias.
+        products: what the products between hidden layers round their factors to; sums are in float32 always.
 
     Source:
         Hidden weights uniform in +-1/sqrt(fan_in), biases 0.1 and a small uniform last layer: what the authors' codes
@@ -111,4 +149,5 @@ def init_mlp(
         scales=tuple(jnp.ones((*stack, width)) for width in widths),
         offsets=tuple(jnp.zeros((*stack, width)) for width in widths),
         activation=activation,
+        products=products,
     )

@@ -49,7 +49,8 @@ class GradientDiversity(Term):
         """weight * L_div at the logged pairs; its gradient reaches the critics only."""
         del side, key
         batch = context.batch
-        networks = context.critics.networks
+        # slopes of rounded products are known in one direction of differentiation only, and too coarse to compare
+        networks = dataclasses.replace(context.critics.networks, products="float32")
         loss = action_diversity(networks, batch.observations, batch.actions)
         members = networks.weights[0].shape[0]
         return self.weight * loss, {"diversity/loss": loss, "diversity/cosine": loss / members}
