@@ -31,6 +31,12 @@ def test_gymnasium():
     environment.close()
 
 
+def test_bodies_of_version_4_are_made_without_notices(tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)  # the simulator would write a file here
+    make({"name": "gymnasium", "id": "HalfCheetah-v4"})().close()  # a warning would be an error
+    assert list(tmp_path.iterdir()) == [] and capfd.readouterr() == ("", "")
+
+
 @pytest.mark.parametrize(
     ("description", "message"),
     [

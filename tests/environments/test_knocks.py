@@ -14,7 +14,6 @@ from odaf.errors import ConfigError
 from odaf.evaluation.rollouts import rollout
 
 HOPPER = {"name": "gymnasium", "id": "Hopper-v4", "kwargs": {}}
-old_versions = pytest.mark.filterwarnings("ignore:.*out of date.*:DeprecationWarning")
 
 
 class Counter:
@@ -114,7 +113,6 @@ def test_levels_and_what_is_refused():
 # ---- real bodies ---------------------------------------------------------------------------------------------------
 
 
-@old_versions
 def test_a_knocked_hopper_against_the_bare_simulator():
     build, limit = make_untimed(HOPPER)
     assert limit == 1000
@@ -136,7 +134,6 @@ def test_a_knocked_hopper_against_the_bare_simulator():
     environment.close()
 
 
-@old_versions
 def test_time_limits_are_taken_off_and_told():
     build, limit = make_untimed({**HOPPER, "kwargs": {"max_episode_steps": 3}})
     assert limit == 3
@@ -154,7 +151,6 @@ def test_time_limits_are_taken_off_and_told():
         make_untimed({"name": "pointmaze", "maze": STITCH.to_dict(), "steps": 0})
 
 
-@old_versions
 def test_unusual_starts_are_off_by_noise_times_the_spread():
     build, _ = make_untimed(HOPPER)
     std = np.linspace(0.1, 1.1, 11)

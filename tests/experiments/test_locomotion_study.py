@@ -12,7 +12,6 @@ from odaf.experiments import ledger, locomotion_study, presets
 from odaf.experiments.ledger import StudyRun
 
 # The version of the published scores is an old one, and gymnasium says so.
-pytestmark = pytest.mark.filterwarnings("ignore:.*out of date.*:DeprecationWarning")
 
 RUNS = [StudyRun("behaviour-cloning", "hopper-medium", seed, 4) for seed in range(2)]
 SMALL = {"TRANSITIONS": 1_500, "HIDDEN_SIZES": (8,), "EPISODES": 1, "FINAL_EPISODES": 2, "EVALUATE_EVERY": 2}

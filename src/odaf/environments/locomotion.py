@@ -1,11 +1,11 @@
 """The locomotion tasks HalfCheetah, Hopper and Walker2d, driven directly: no wrapper between us and the simulator."""
 
-import warnings
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from odaf.environments.gymnasium_environment import make_quietly
 from odaf.errors import ConfigError
 
 VERSIONS = ("v4", "v5")
@@ -69,21 +69,14 @@ class Simulator:
         self.task = task
         self.environment_id = task.environment_id(version)
         try:
-            import gymnasium
+            import gymnasium  # noqa: F401
             import mujoco
         except ImportError as error:
             raise ConfigError(
                 f"'{self.environment_id}' needs a simulator that is missing ({error}); {_EXTRA}"
             ) from error
         self._mujoco: Any = mujoco
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", DeprecationWarning)  # v4 is old by intent: near it scores were published
-            # HalfCheetah's model holds an old word; the simulator would tell the terminal and a file in this folder.
-            self._mujoco.set_mju_user_warning(lambda _: None)
-            try:
-                self._environment: Any = gymnasium.make(self.environment_id, disable_env_checker=True).unwrapped
-            finally:
-                self._mujoco.set_mju_user_warning(None)
+        self._environment: Any = make_quietly(self.environment_id, disable_env_checker=True).unwrapped
         self._signature = self._mujoco.mjtState.mjSTATE_INTEGRATION
         self._model, self._data = self._environment.model, self._environment.data
 

@@ -4,6 +4,7 @@ import sys
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
+from odaf.environments.gymnasium_environment import make_quietly
 from odaf.environments.maze import Maze
 from odaf.errors import ConfigError
 
@@ -44,7 +45,7 @@ def make(environment: Mapping[str, Any]) -> "Callable[[], gymnasium.Env]":
             gymnasium.spec(identity)
         except gymnasium.error.Error as error:
             raise ConfigError(f"environment '{identity}': gymnasium does not know it ({error})") from error
-        return lambda: gymnasium.make(identity, **kwargs)
+        return lambda: make_quietly(identity, **kwargs)
     raise ConfigError(f"environment: name is {name!r}; known are 'pointmaze' and 'gymnasium'")
 
 
