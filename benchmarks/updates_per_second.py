@@ -104,7 +104,7 @@ def main(arguments: list[str] | None = None) -> None:
         content = {"machine": about, **measure(options.learners, rounds, seconds)}
         if options.peer_python:
             done = subprocess.run([options.peer_python, PEER], check=True, capture_output=True, text=True)
-            content["peers"] = json.loads(done.stdout)
+            content["peers"] = json.loads(done.stdout.splitlines()[-1])  # its log stands before
             for name, peer in content["peers"].items():
                 print(f"{name:20} {peer['updates_per_second']:10.1f}   {peer['what']}")
     if options.json:
