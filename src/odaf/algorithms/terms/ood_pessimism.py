@@ -21,7 +21,8 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray, PyTree
 
 from odaf.algorithms.base import Metrics
 from odaf.algorithms.terms.base import Context, Term
-from odaf.components.critics import disagreement
+from odaf.components.critics import CriticEnsemble, disagreement
+from odaf.components.parts import draws_at_once, mean_over_parts
 from odaf.components.perturbations import draw_offsets
 from odaf.components.targets import frozen
 from odaf.errors import ConfigError
@@ -131,11 +132,25 @@ class OODPessimism(Term):
         perturbed = (states[None] + offsets).reshape(draws * rows, obs_dim)
         noise = jr.normal(key_actions, (draws * rows, context.batch.actions.shape[1]))
         actions, _ = frozen(context.actor).sample(perturbed, noise)
-        values = context.critics(perturbed, actions)
+
+        count = draws // draws_at_once(draws, rows)
+        parts = jax.tree.map(lambda column: column.reshape(count, -1, column.shape[-1]), (perturbed, actions))
+        found: Any = mean_over_parts(self._part_loss, context.critics, parts, (deviations, context.value_bounds))
+        loss, (spread, value) = found
+        return loss, spread, value
+
+    def _part_loss(
+        self,
+        critics: CriticEnsemble,
+        part: tuple[Float[Array, "rows obs_dim"], Float[Array, "rows act_dim"]],
+        constants: tuple[Float[Array, ""], Float[Array, "2"]],
+    ) -> tuple[Float[Array, ""], tuple[Float[Array, ""], Float[Array, ""]]]:
+        deviations, bounds = constants
+        values = critics(*part)
         spread = disagreement(values, self.std_ddof)
         targets = values - deviations * spread[None, :]
-        targets = jnp.clip(targets, context.value_bounds[0], context.value_bounds[1])
+        targets = jnp.clip(targets, bounds[0], bounds[1])
         if self.floor is not None:
             targets = jnp.maximum(targets, self.floor)
         loss = jnp.mean(jnp.square(values - jax.lax.stop_gradient(targets)))
-        return loss, jnp.mean(spread), jnp.mean(values)
+        return loss, (jnp.mean(spread), jnp.mean(values))
