@@ -60,6 +60,8 @@ class ExportOptions:
     """Folder for the arrays; without it, the installed package's own."""
     ledger: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("results/behaviour")
     """Folder for the record of the run and its learning curve."""
+    expert_only: bool = False
+    """Take only the expert from this run; the medium and replay policies that are there stay."""
 
 
 def export(arguments: list[str]) -> None:
@@ -71,7 +73,9 @@ def export(arguments: list[str]) -> None:
     from odaf.training.progress import default_progress
 
     folder = options.policies or Path(shipped_policies.__file__).with_name("policies")
-    facts = export_policies(options.directory, folder, options.ledger, default_progress(True))
+    facts = export_policies(
+        options.directory, folder, options.ledger, default_progress(True), expert_only=options.expert_only
+    )
     for name in ("medium", "expert"):
         level = facts[name]
         if level is None:

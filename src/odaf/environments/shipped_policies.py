@@ -7,7 +7,7 @@ says which is which, how they were trained, and what they earn. Both are written
 import io
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.resources import files
 from typing import Any
 
@@ -69,6 +69,18 @@ def pack_policies(policies: Sequence[GaussianPolicy]) -> dict[str, np.ndarray]:
     return {name: array.astype(np.float16) for name, array in (weights | biases).items()}
 
 
+def stacked_policies(layers: Mapping[str, np.ndarray]) -> list[GaussianPolicy]:
+    """The policies in their order, in single precision."""
+    count = sum(name.startswith("weight_") for name in layers)
+    weights, biases = (
+        [layers[f"{kind}_{layer}"].astype(np.float32) for layer in range(count)] for kind in ("weight", "bias")
+    )
+    return [
+        GaussianPolicy([weight[index] for weight in weights], [bias[index] for bias in biases])
+        for index in range(len(weights[0]))
+    ]
+
+
 def unpack_policies(layers: Mapping[str, np.ndarray], facts: Mapping[str, Any]) -> ShippedPolicies:
     """Inverse of `pack_policies`, told by the page of facts which policy is which.
 
@@ -77,12 +89,10 @@ def unpack_policies(layers: Mapping[str, np.ndarray], facts: Mapping[str, Any]) 
         facts: "medium" and "expert" hold an index and a spread, or are None; "replay" holds a length in steps and an
             index (None: uniform actions) for each phase.
     """
-    count = sum(name.startswith("weight_") for name in layers)
+    stack = stacked_policies(layers)
 
     def policy(index: int, spread: float = 1.0) -> GaussianPolicy:
-        weights = [layers[f"weight_{layer}"][index].astype(np.float32) for layer in range(count)]
-        biases = [layers[f"bias_{layer}"][index].astype(np.float32) for layer in range(count)]
-        return GaussianPolicy(weights, biases, spread)
+        return replace(stack[index], spread=spread)
 
     def level(name: str) -> GaussianPolicy | None:
         entry = facts.get(name)

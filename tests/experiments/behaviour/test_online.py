@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import shutil
 
 import jax.numpy as jnp
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 from odaf.environments.locomotion import TASKS, Simulator
 from odaf.environments.locomotion_acceptance import PUBLISHED
+from odaf.environments.shipped_policies import unpack_policies
 from odaf.errors import ConfigError
 from odaf.evaluation.reference_returns import REFERENCES
 from odaf.experiments.behaviour import online
@@ -192,6 +194,25 @@ def test_export_of_a_run_that_reached_its_levels(finished, tmp_path, monkeypatch
     assert (facts["expert"]["step"], facts["expert"]["spread"], facts["expert"]["reached"]) == (120, 0.85, True)
     assert [phase["steps"] for phase in facts["replay"]] == [40, 20, 20]
     assert [phase["index"] for phase in facts["replay"]] == [None, 0, 0]
+    assert facts["steps"] == [60, 80, 120]
+
+    before = shutil.copytree(tmp_path / "policies", tmp_path / "before")
+    scores[100], scores[120] = 109.0, 60.0  # as if this were another run
+    with pytest.raises(ConfigError, match=r"hopper.json: nothing is there to add an expert to"):
+        export(finished, tmp_path / "empty", tmp_path / "ledger", expert_only=True)
+    facts = export(finished, tmp_path / "policies", tmp_path / "other", expert_only=True)
+    assert (facts["expert"]["step"], facts["medium"]["step"], facts["steps"]) == (100, 80, [60, 80, 100])
+    record = json.loads((tmp_path / "other" / "hopper-seed0.json").read_text())
+    assert record["medium"] is None and record["expert"]["step"] == 100
+    old, new = (_policies_in(folder) for folder in (before, tmp_path / "policies"))
+    assert old.medium is not None and new.medium is not None and old.expert is not None and new.expert is not None
+    np.testing.assert_array_equal(new.medium.weights[0], old.medium.weights[0])
+    assert len(new.replay) == len(old.replay) and np.any(new.expert.weights[0] != old.expert.weights[0])
+
+
+def _policies_in(folder):
+    with np.load(folder / "hopper.npz", allow_pickle=False) as arrays:
+        return unpack_policies(dict(arrays), json.loads((folder / "hopper.json").read_text()))
 
 
 @pytest.mark.parametrize(("falls", "step"), [((0.0, 0.1), 80), ((0.01, 0.1), 100), ((0.2, 0.3), 80)])

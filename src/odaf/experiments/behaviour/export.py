@@ -7,6 +7,7 @@ and as trained where that is near enough; if none falls so often, the nearest of
 """
 
 import itertools
+import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version as version_of
@@ -18,7 +19,7 @@ import numpy as np
 from odaf.environments.gaussian_policy import GaussianPolicy
 from odaf.environments.locomotion import Simulator, Task, task_of
 from odaf.environments.locomotion_acceptance import PUBLISHED, terminal_limits
-from odaf.environments.shipped_policies import pack_policies
+from odaf.environments.shipped_policies import pack_policies, stacked_policies
 from odaf.errors import ConfigError
 from odaf.evaluation.reference_returns import REFERENCES, Reference
 from odaf.experiments.behaviour.online import OnlineRun, curve_in, load_policy, play, run_in
@@ -49,7 +50,14 @@ class Level:
     fall_share: float
 
 
-def export(directory: Path, policies: Path, ledger: Path, progress: ProgressReport | None = None) -> dict[str, Any]:
+def export(
+    directory: Path,
+    policies: Path,
+    ledger: Path,
+    progress: ProgressReport | None = None,
+    *,
+    expert_only: bool = False,
+) -> dict[str, Any]:
     """Choose levels and phases from a run and write them.
 
     Args:
@@ -57,13 +65,15 @@ def export(directory: Path, policies: Path, ledger: Path, progress: ProgressRepo
         policies: folder for `TASK.npz` and `TASK.json`, the package's own to ship them.
         ledger: folder for `TASK-seedSEED.json`, the run's settings and learning curve.
         progress: hears how many policies were looked at.
+        expert_only: take the expert from this run and leave the medium and replay policies in `policies` as they are.
+            The public sets' medium and expert policies come from two runs, too.
 
     Returns:
         The page of facts. "expert" says under "reached" whether it is as good as the published set's policy; a
         medium policy that is not is left out, an expert one is the best there was.
 
     Raises:
-        ConfigError: there is no run, or it has no snapshots yet.
+        ConfigError: there is no run, or it has no snapshots yet; or with `expert_only` nothing is there to add to.
     """
     run, curve = run_in(directory), curve_in(directory)
     task = task_of(run.task, run.version)
@@ -88,32 +98,38 @@ def export(directory: Path, policies: Path, ledger: Path, progress: ProgressRepo
         near = sorted(looks, key=lambda step: (abs(looks[step] - target), step))[:CANDIDATES]
         return _nearest({step: loaded[step] for step in near}, simulators, reference, target, terminal_limits(falls))
 
-    medium, expert = search("medium"), search("expert")
-    medium_target, expert_target = (PUBLISHED[f"{task.name}-{level}"][0] for level in ("medium", "expert"))
-    medium_reached = abs(medium.normalised_score - medium_target) <= MEDIUM_WITHIN
-    expert_reached = expert.normalised_score >= expert_target - EXPERT_WITHIN
-    phases = _phases(run, list(loaded), medium.step) if medium_reached else []
-    chosen = sorted({step for _, step in phases if step is not None} | {expert.step} | {medium.step})
-    index = {step: position for position, step in enumerate(chosen)}
-    facts = {
-        "task": task.name,
-        "environment": task.environment_id(run.version),
-        "training": {
-            "algorithm": asdict(run.algorithm()),
-            "run": asdict(run),
-            "steps_made": max([*loaded, *(line["step"] for line in curve)]),
-            "command": f"odaf behaviour train {task.name} --seed {run.seed} --batch-size {run.batch_size}",
-        },
-        "steps": chosen,
-        "medium": {"index": index[medium.step], **asdict(medium)} if medium_reached else None,
-        "expert": {"index": index[expert.step], "reached": expert_reached, **asdict(expert)},
-        "replay": [{"steps": steps, "index": None if step is None else index[step]} for steps, step in phases],
+    training = {
+        "algorithm": asdict(run.algorithm()),
+        "run": asdict(run),
+        "steps_made": max([*loaded, *(line["step"] for line in curve)]),
+        "command": f"odaf behaviour train {task.name} --seed {run.seed} --batch-size {run.batch_size}",
     }
+    targets = {level: PUBLISHED[f"{task.name}-{level}"][0] for level in ("medium", "expert")}
+    best = search("expert")
+    reached = best.normalised_score >= targets["expert"] - EXPERT_WITHIN
+    expert = {"reached": reached, **asdict(best), "training": training}
+    if expert_only:
+        facts, chosen = _kept(policies, task)
+    else:
+        facts, chosen = {"task": task.name, "environment": task.environment_id(run.version), "training": training}, []
+        medium = search("medium")
+        if abs(medium.normalised_score - targets["medium"]) <= MEDIUM_WITHIN:
+            phases = _phases(run, list(loaded), medium.step)
+            steps = sorted({step for _, step in phases if step is not None} | {medium.step})
+            facts["steps"], chosen = steps, [loaded[step] for step in steps]
+            index = {step: position for position, step in enumerate(steps)}
+            facts["medium"] = {"index": index[medium.step], **asdict(medium)}
+            facts["replay"] = [{"steps": length, "index": None if at is None else index[at]} for length, at in phases]
+        else:
+            facts |= {"steps": [], "medium": None, "replay": []}
+    facts |= {"steps": [*facts["steps"][: len(chosen)], best.step], "expert": {"index": len(chosen), **expert}}
     policies.mkdir(parents=True, exist_ok=True)
-    write_arrays(policies / f"{task.name}.npz", pack_policies([loaded[step] for step in chosen]))
+    write_arrays(policies / f"{task.name}.npz", pack_policies([*chosen, loaded[best.step]]))
     write_json(policies / f"{task.name}.json", facts)
     ledger.mkdir(parents=True, exist_ok=True)
-    write_json(ledger / f"{task.name}-seed{run.seed}.json", _ledger(run, task, facts, curve, looks))
+    write_json(
+        ledger / f"{task.name}-seed{run.seed}.json", _ledger(run, task, facts, training, curve, looks, expert_only)
+    )
     return facts
 
 
@@ -162,18 +178,35 @@ def _halved(policy: GaussianPolicy) -> GaussianPolicy:
     return GaussianPolicy(weights, biases)
 
 
+def _kept(policies: Path, task: Task) -> tuple[dict[str, Any], list[GaussianPolicy]]:
+    """The facts that are there and the policies of medium and replay, which come before the expert."""
+    try:
+        facts = json.loads((policies / f"{task.name}.json").read_text(encoding="utf-8"))
+        with np.load(policies / f"{task.name}.npz", allow_pickle=False) as content:
+            layers = {name: content[name] for name in content.files}
+    except FileNotFoundError as error:
+        raise ConfigError(f"{error.filename}: nothing is there to add an expert to; export a whole run first") from None
+    return facts, stacked_policies(layers)[: facts["expert"]["index"]]
+
+
 def _ledger(
-    run: OnlineRun, task: Task, facts: dict[str, Any], curve: list[dict[str, Any]], looks: dict[int, float]
+    run: OnlineRun,
+    task: Task,
+    facts: dict[str, Any],
+    training: dict[str, Any],
+    curve: list[dict[str, Any]],
+    looks: dict[int, float],
+    expert_only: bool,
 ) -> dict[str, Any]:
     """What `results/` keeps of a run."""
     return {
         "study": "behaviour",
         "environment": task.environment_id(run.version),
         "seed": run.seed,
-        **facts["training"],
+        **training,
         "versions": {package: version_of(package) for package in ("jax", "gymnasium", "mujoco", "numpy")},
-        "medium": facts["medium"],
-        "expert": facts["expert"],
+        "medium": None if expert_only else facts["medium"],
+        "expert": {name: value for name, value in facts["expert"].items() if name != "training"},
         "curve": curve,
         "stochastic_scores": [{"step": step, "normalised_score": score} for step, score in looks.items()],
     }
