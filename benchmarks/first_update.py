@@ -7,7 +7,6 @@ process's own peak, libraries and compiler included.
 """
 
 import argparse
-import json
 import os
 import subprocess
 import sys
@@ -18,7 +17,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.load_dataset import ROWS, write
-from benchmarks.machine import machine
+from benchmarks.machine import machine, write_figures
 
 LEARNERS = {"sac-n": [], "edac": [], "odaf": ["--outcome.dynamics.steps", "1"]}
 
@@ -69,10 +68,7 @@ def main(arguments: list[str] | None = None) -> None:
             for what, each in (("first update", first), ("when compiled before", again)):
                 print(f"{learner}: {what} {each['seconds']:.1f} s ({each['processor_seconds']:.1f} s of processor)")
             print(f"{learner}: peak memory {peak / 1e9:.2f} GB", flush=True)
-    if options.json:
-        options.json.parent.mkdir(parents=True, exist_ok=True)
-        content = {"machine": about, "transitions": options.rows, "learners": figures}
-        options.json.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+    write_figures(options.json, about, {"transitions": options.rows, "learners": figures})
 
 
 if __name__ == "__main__":

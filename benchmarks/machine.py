@@ -1,8 +1,10 @@
-"""What figures were measured on."""
+"""What figures were measured on, and the file that they are kept in."""
 
+import json
 import os
 import platform
 from pathlib import Path
+from typing import Any
 
 
 def machine() -> dict[str, object]:
@@ -21,3 +23,10 @@ def machine() -> dict[str, object]:
         "jax": jax.__version__,
         "load_before": os.getloadavg()[0] if hasattr(os, "getloadavg") else None,
     }
+
+
+def write_figures(path: Path | None, about: dict[str, object], figures: dict[str, Any]) -> None:
+    """A JSON file of the figures under what they were measured on; None writes nothing."""
+    if path is not None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps({"machine": about, **figures}, indent=2) + "\n", encoding="utf-8")

@@ -5,7 +5,6 @@ two ways take turns. `odaf train` does what this shows to be faster on the proce
 """
 
 import argparse
-import json
 import statistics
 import sys
 import time
@@ -19,7 +18,7 @@ import jax.random as jr
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks import learners
-from benchmarks.machine import machine
+from benchmarks.machine import machine, write_figures
 from odaf.experiments.workers import cores, run_jobs
 from odaf.training.loop import settled, stacked, train_stretch, train_stretch_many, training_key
 
@@ -87,10 +86,7 @@ def main(arguments: list[str] | None = None) -> None:
             f"{found['one_call']:.1f} in one call: {found['ratio']:.2f} times as many",
             flush=True,
         )
-    if options.json:
-        options.json.parent.mkdir(parents=True, exist_ok=True)
-        content = {"machine": about, "seeds": options.seeds, "learners": figures}
-        options.json.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+    write_figures(options.json, about, {"seeds": options.seeds, "learners": figures})
 
 
 if __name__ == "__main__":

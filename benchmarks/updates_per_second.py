@@ -21,7 +21,7 @@ import jax.random as jr
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks import learners, parts
-from benchmarks.machine import machine
+from benchmarks.machine import machine, write_figures
 from benchmarks.operations import flop_per_update
 
 PRODUCTS = 50  # in one call of the ceiling
@@ -99,17 +99,15 @@ def main(arguments: list[str] | None = None) -> None:
 
     about = machine()
     if options.parts:
-        content = {"machine": about, "parts": parts.show(options.parts, rounds, seconds)}
+        content = {"parts": parts.show(options.parts, rounds, seconds)}
     else:
-        content = {"machine": about, **measure(options.learners, rounds, seconds)}
+        content = measure(options.learners, rounds, seconds)
         if options.peer_python:
             done = subprocess.run([options.peer_python, PEER], check=True, capture_output=True, text=True)
             content["peers"] = json.loads(done.stdout.splitlines()[-1])  # its log stands before
             for name, peer in content["peers"].items():
                 print(f"{name:20} {peer['updates_per_second']:10.1f}   {peer['what']}")
-    if options.json:
-        options.json.parent.mkdir(parents=True, exist_ok=True)
-        options.json.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+    write_figures(options.json, about, content)
 
 
 if __name__ == "__main__":

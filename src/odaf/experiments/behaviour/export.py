@@ -66,7 +66,6 @@ def export(
         ledger: folder for `TASK-seedSEED.json`, the run's settings and learning curve.
         progress: hears how many policies were looked at.
         expert_only: take the expert from this run and leave the medium and replay policies in `policies` as they are.
-            The public sets' medium and expert policies come from two runs, too.
 
     Returns:
         The page of facts. "expert" says under "reached" whether it is as good as the published set's policy; a
