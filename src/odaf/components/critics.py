@@ -14,7 +14,7 @@ from odaf.components.networks import MLP, Norm, Products, init_mlp
 from odaf.components.targets import frozen
 
 ROOT_EPSILON = 1e-12
-UNROLLED = 10  # members that are written out side by side at most
+UNROLLED = 10  # members that are compiled side by side on several cores
 
 Member = TypeVar("Member", bound=PyTree)
 Result = TypeVar("Result", bound=PyTree)
@@ -25,14 +25,15 @@ def over_members(function: Callable[[Member], Result], stack: Member) -> Result:
 
     How is a matter of speed alone. On an accelerator all members are one batched product. On one processor core, one
     member is done after another, so that its activations stay in the cache. On several cores members are written out
-    side by side, up to `UNROLLED` at a time, so that each core can take a member of its own with all that goes with it.
+    side by side, up to `UNROLLED` at a time: each core can take a member of its own with all that goes with it, and the
+    compiler finds what the parts of an update have in common, which it does not across loops.
     """
     if jax.default_backend() != "cpu":
         return jax.vmap(function)(stack)
     if usable_cores() == 1:
         return jax.lax.map(function, stack)
     members = jax.tree.leaves(stack)[0].shape[0]
-    group = _group(members, usable_cores())
+    group = max(size for size in range(1, UNROLLED + 1) if members % size == 0)
     if group == members:
         return _written_out(function, stack)
     groups = jax.tree.map(lambda leaf: leaf.reshape(members // group, group, *leaf.shape[1:]), stack)
@@ -43,12 +44,6 @@ def over_members(function: Callable[[Member], Result], stack: Member) -> Result:
 def usable_cores() -> int:
     """Processor cores that this process may run on."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def _group(members: int, cores: int) -> int:
-    """The smallest even share of the members that gives each core one; `UNROLLED` at most."""
-    shares = [size for size in range(1, UNROLLED + 1) if members % size == 0]
-    return next((size for size in shares if size >= cores), shares[-1])
 
 
 def _written_out(function: Callable[[Member], Result], stack: Member) -> Result:
