@@ -65,7 +65,8 @@ def test_second_process_finds_the_programs_of_the_first(data: Path, tmp_path: Pa
     assert kept
     second = _train(data, tmp_path / "second", ODAF_CACHE_DIR=str(cache))
     assert _programs(cache / "compiled") == kept
-    assert second["hits"] >= len(kept) > first["hits"] == 0
+    # a program that one process compiles twice is found by the process itself
+    assert second["hits"] >= len(kept) + first["hits"]
     states = [(tmp_path / name).glob("seed-0/checkpoints/*/state.eqx") for name in ("first", "second")]
     ours, theirs = ([file.read_bytes() for file in sorted(found)] for found in states)
     assert ours == theirs and len(ours) == 2

@@ -17,7 +17,6 @@ import jax.random as jr
 import numpy as np
 import optax
 from jaxtyping import Array, Float, PRNGKeyArray, PyTree
-from scipy.signal import lfilter
 
 from odaf.components.critics import CriticEnsemble
 from odaf.components.distributions import tanh_gaussian_log_density
@@ -36,6 +35,8 @@ def returns_to_go(dataset: Dataset, discount: float) -> Float[np.ndarray, " rows
     An episode that was cut, by a time limit or by the end of the log, is taken to go on earning the mean reward of its
     rows; one that truly ended earns nothing more.
     """
+    from scipy.signal import lfilter  # takes a second to load, so only where it is used
+
     found = np.empty(len(dataset), np.float64)
     for index in range(dataset.num_episodes):
         rows = dataset.episode(index)
@@ -108,6 +109,7 @@ def fit_to_log(
     losses = jnp.nan, jnp.nan
     for done in range(0, steps, STRETCH):
         carry, losses = stretch(carry, columns, keys[done : done + STRETCH])
+        jax.block_until_ready(losses)
         progress(min(done + STRETCH, steps), steps)
     (actor, critics), _ = carry
     members = critics.networks.biases[0].shape[0]

@@ -7,7 +7,7 @@ from pathlib import Path
 
 VARIABLE = "ODAF_CACHE_DIR"
 # Programs that compile sooner are not worth a file.
-_SHORTEST_SECONDS = 0.1
+_SHORTEST_SECONDS = 0.0
 _LARGEST_BYTES = 2**30
 
 

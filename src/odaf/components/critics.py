@@ -48,7 +48,8 @@ def usable_cores() -> int:
 
 def _written_out(function: Callable[[Member], Result], stack: Member) -> Result:
     members = jax.tree.leaves(stack)[0].shape[0]
-    results = [function(jax.tree.map(lambda leaf, k=k: leaf[k], stack)) for k in range(members)]
+    traced_once = jax.jit(function)  # the compiler puts the calls back in line
+    results = [traced_once(jax.tree.map(lambda leaf, k=k: leaf[k], stack)) for k in range(members)]
     return jax.tree.map(lambda *parts: jnp.stack(parts), *results)
 
 

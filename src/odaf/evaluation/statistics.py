@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+from scipy.special import stdtrit
 
 from odaf.errors import ConfigError
 
@@ -46,7 +46,7 @@ def t_interval(values: np.ndarray | list[float], confidence: float = 0.95) -> Es
     mean, std, count = _moments(values)
     low = high = float("nan")
     if count > 1:
-        half = float(stats.t.ppf(0.5 + confidence / 2, count - 1)) * std / np.sqrt(count)
+        half = float(stdtrit(count - 1, 0.5 + confidence / 2)) * std / np.sqrt(count)
         low, high = mean - half, mean + half
     return Estimate(mean, std, float(low), float(high), confidence, count)
 
@@ -69,6 +69,8 @@ def bootstrap_interval(
     mean, std, count = _moments(values)
     low = high = float("nan")
     if count > 1:
+        from scipy import stats  # takes half a second to load, so only where it is used
+
         result = stats.bootstrap(
             (values,),
             np.mean,

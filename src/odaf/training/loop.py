@@ -144,6 +144,7 @@ def _stretch(
     key: PRNGKeyArray,
     arrays: Any,
 ) -> tuple[Any, dict[str, Array]]:
+    @jax.jit  # so that it is traced once for both of its uses
     def update(arrays: Any, step: Int[Array, ""]) -> tuple[Any, dict[str, Array]]:
         key_sample, key_update = jr.split(jr.fold_in(key, step))
         batch = sample(columns, key_sample, algorithm.batch_size)
