@@ -65,6 +65,7 @@ def _trained(learner, updates: int = 3):
         ("odaf-paper", {"outcome.weight": 0.0}, "odaf-paper-without-outcome"),
         ("odaf-pessimistic", {"ood.weight": 0.0}, "odaf"),
         ("odaf-pessimistic", {"outcome.weight": 0.0}, "odaf-pessimistic-without-outcome"),
+        ("odaf-locomotion", {"outcome.weight": 0.0}, "odaf-locomotion-without-outcome"),
         ("edac", {"diversity.weight": 0.0}, "sac-n"),
         ("rorl", {"policy_smoothing.weight": 0.0, "value_smoothing.weight": 0.0, "ood.weight": 0.0}, "sac-n"),
         ("odaf-rorl", {"outcome.weight": 0.0}, "rorl"),

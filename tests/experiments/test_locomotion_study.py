@@ -120,14 +120,13 @@ def test_the_plan_is_what_the_page_says() -> None:
     runs = [run for phase in phases for run in phase]
     assert len({run.title for run in runs}) == len(runs)  # no two runs share a directory
     first = [(run.method, run.task, run.seed) for run in phases[0][:2]]
-    lead = "odaf-pessimistic-reward_scale-auto-warm_start-returns"
-    assert first == [("behaviour-cloning", "hopper-medium", 0), (lead, "hopper-medium", 0)]
+    assert first == [("behaviour-cloning", "hopper-medium", 0), ("odaf-locomotion", "hopper-medium", 0)]
     few = {run.preset for run in runs if run.steps == 10_000}
     assert few == {"pbrl", "rorl", "odaf-rorl", "odaf-demo"}
     for task in ("hopper-medium", "halfcheetah-medium"):
         for preset in (
             "behaviour-cloning", "sac-n", "edac", "osr-10", "odaf", "odaf-paper", "odaf-pessimistic",
-            "odaf-without-outcome", "odaf-pessimistic-without-outcome",
+            "odaf-without-outcome", "odaf-locomotion",
         ):  # fmt: skip
             seeds = [run.seed for run in runs if (run.method, run.task, run.steps) == (preset, task, 50_000)]
             assert seeds == [0, 1], (preset, task)
@@ -140,5 +139,5 @@ def test_every_learner_takes_its_task_then_the_common_networks_then_its_changes(
     assert presets.load("edac").hidden_sizes != (256, 256)
     edac = [locomotion_study.learner(StudyRun("edac", task, 0, 1)) for task in ("hopper-medium", "halfcheetah-medium")]
     assert [learner.num_critics for learner in edac] == [50, 10]
-    lead = locomotion_study.learner(locomotion_study.plan()[0][1])
-    assert (lead.reward_scale, lead.warm_start) == ("auto", "returns")
+    default = locomotion_study.learner(locomotion_study.plan()[0][1])
+    assert (default.reward_scale, default.warm_start, default.return_steps) == ("auto", "returns", 5)

@@ -25,6 +25,8 @@ ALL = (
     "odaf",
     "odaf-demo",
     "odaf-demo-without-outcome",
+    "odaf-locomotion",
+    "odaf-locomotion-without-outcome",
     "odaf-paper",
     "odaf-paper-without-outcome",
     "odaf-pessimistic",
@@ -94,7 +96,9 @@ def test_the_default_is_stabilised_and_carries_the_term():
     assert isinstance(_terms("odaf-pessimistic")["ood"], OODPessimism)
 
 
-@pytest.mark.parametrize("name", ["odaf", "odaf-demo", "odaf-paper", "odaf-pessimistic", "odaf-rorl"])
+@pytest.mark.parametrize(
+    "name", ["odaf", "odaf-demo", "odaf-locomotion", "odaf-paper", "odaf-pessimistic", "odaf-rorl"]
+)
 def test_without_outcome_differs_by_that_term_and_nothing_else(name):
     whole, base = config.to_dict(presets.load(name)), config.to_dict(presets.load(f"{name}-without-outcome"))
     assert "outcome" in [term["name"] for term in whole["terms"]]

@@ -97,11 +97,12 @@ def export(
         near = sorted(looks, key=lambda step: (abs(looks[step] - target), step))[:CANDIDATES]
         return _nearest({step: loaded[step] for step in near}, simulators, reference, target, terminal_limits(falls))
 
+    settings = f"--seed {run.seed} --steps {run.steps} --batch-size {run.batch_size}"
     training = {
         "algorithm": asdict(run.algorithm()),
         "run": asdict(run),
         "steps_made": max([*loaded, *(line["step"] for line in curve)]),
-        "command": f"odaf behaviour train {task.name} --seed {run.seed} --batch-size {run.batch_size}",
+        "command": f"odaf behaviour train {task.name} {settings}",
     }
     targets = {level: PUBLISHED[f"{task.name}-{level}"][0] for level in ("medium", "expert")}
     best = search("expert")
