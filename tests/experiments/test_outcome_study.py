@@ -59,7 +59,8 @@ def test_records_table_and_going_on(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 def record_of(critics: int, weight: float, seed: int, mean: float | None) -> dict[str, Any]:
     figures = dict.fromkeys(("transitions", "mean_return", "best_return", "direct_return", "ceiling"), 1)
     return {
-        "critics": critics, "weight": weight, "seed": seed, "steps": 20_000, "updates": 20_000 if mean else 7_000,
+        "maze": "stitch", "critics": critics, "weight": weight, "seed": seed,
+        "steps": 20_000, "updates": 20_000 if mean else 7_000,
         "data": figures, "final": None if mean is None else {"mean_return": mean, "stitched_rate": 0.5},
     }  # fmt: skip
 
@@ -81,11 +82,34 @@ def test_the_gain_is_paired_by_seed() -> None:
     assert "- 4 critics, weight 3, seed 1: after 7,000 of 20,000 updates" in lines
 
 
+def test_hopper_has_a_table_of_its_own_in_normalised_scores() -> None:
+    def score_of(weight: float, score: float) -> dict[str, Any]:
+        record = record_of(4, weight, 0, 1000.0)
+        record["data"] |= {"normalised_score": 44.0}
+        record["final"]["normalised_score"] = score
+        del record["maze"]
+        return record | {"task": "hopper-medium", "environment": "Hopper-v4"}
+
+    maze = record_of(4, 0.0, 0, 9.0)
+    text = outcome_study.table([maze, score_of(20.0, 70.0), score_of(0.0, 60.0)])
+    rows = [line for line in text.splitlines() if line.startswith("| 4 ")]
+    assert rows == [
+        "| 4 | 0 | 20,000 | 1 | 9.0 | one seed | 9.0 | 0.50 | | | |",
+        "| 4 | 0 | 20,000 | 1 | 60.0 | one seed | 60.0 | | | |",
+        "| 4 | 20 | 20,000 | 1 | 70.0 | one seed | 70.0 | +10.0 | one seed | 1 |",
+    ]
+    assert "mean score 44.0" in text and "Hopper-v4" in text
+
+
 def test_a_partial_run_answers_for_the_smallest_ensemble_first() -> None:
     phases = outcome_study.plan()
-    assert [{dict(run.changes)["num_critics"] for run in phase} for phase in phases] == [{2}, {4}, {10}]
+    asked = [({run.task for run in phase}, {dict(run.changes)["num_critics"] for run in phase}) for phase in phases]
+    maze, hopper = {"stitch"}, {"hopper-medium"}
+    assert asked == [(maze, {2}), (maze, {4}), (maze, {10}), (hopper, {4}), (hopper, {10})]
     for phase in phases:
+        weights = (0.0, 0.3, 3.0) if phase[0].task == "stitch" else (0.0, 20.0)
         pairs = [(run.seed, dict(run.changes)["outcome.weight"]) for run in phase]
-        assert pairs == [(seed, weight) for seed in range(3) for weight in (0.0, 0.3, 3.0)]
+        assert pairs == [(seed, weight) for seed in range(3) for weight in weights]
         assert {run.steps for run in phase} == {20_000}
-    assert len({run.title for phase in phases for run in phase}) == 27
+    runs = [run for phase in phases for run in phase]
+    assert len({run.title for run in runs}) == len(runs) == 27 + 12

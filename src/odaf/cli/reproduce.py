@@ -18,7 +18,7 @@ class ReproduceOptions:
     Runs that are there already are not repeated, so the command can be stopped and given again.
 
     pointmaze: stitching in a maze; our default, its base without the outcome term, the paper's form, cloning.
-    outcome: what the outcome term adds in the maze with two, four and ten critics.
+    outcome: what the outcome term adds in the maze with two, four and ten critics, and on Hopper.
     locomotion: learning curves of every learner on Hopper and HalfCheetah data made on the spot.
     generators: every locomotion set we can record, beside the published set of its name.
     """

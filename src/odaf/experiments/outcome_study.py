@@ -1,15 +1,16 @@
 """The outcome study: what does the outcome term add where its base is stressed, with few critics?
 
-The stitching maze, ensembles of two, four and ten critics, three weights of the term. One JSON file a run under the
-results directory and tables drawn from those files. Runs whose file is there are not repeated; a run that was stopped
-goes on from its last checkpoint.
+The stitching maze, ensembles of two, four and ten critics, three weights of the term; then the same question on Hopper.
+One JSON file a run under the results directory and tables drawn from those files. Runs whose file is there are not
+repeated; a run that was stopped goes on from its last checkpoint.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
+from odaf.experiments import locomotion_study
 from odaf.experiments.ledger import (
     LOCAL,
     StudyRun,
@@ -20,24 +21,29 @@ from odaf.experiments.ledger import (
     run_facts,
     train_while_finite,
 )
-from odaf.experiments.pointmaze_study import EPISODES, EVALUATE_EVERY, data_figures, data_file
+from odaf.experiments.pointmaze_study import EPISODES, EVALUATE_EVERY, data_figures
+from odaf.experiments.pointmaze_study import data_file as maze_file
 
-MAZE = "stitch"
-CRITICS = (2, 4, 10)
-WEIGHTS = (0.0, 0.3, 3.0)
+MAZE, HOPPER = "stitch", locomotion_study.HOPPER
+# For each task its preset, the sizes of the ensemble, and the weights of the term.
+QUESTIONS = (
+    (MAZE, "odaf", (2, 4, 10), (0.0, 0.3, 3.0)),
+    (HOPPER, "odaf-locomotion", (4, 10), (0.0, 20.0)),
+)
 SEEDS = 3
 STEPS = 20_000
 
 
 def plan() -> list[list[StudyRun]]:
-    """A phase for every size of the ensemble, the smallest first; in each, all weights of a seed come together."""
+    """A phase for every task and size of the ensemble, the smallest first; all weights of a seed come together."""
     return [
         [
-            StudyRun("odaf", MAZE, seed, STEPS, (("num_critics", critics), ("outcome.weight", weight)))
+            StudyRun(preset, task, seed, STEPS, (("num_critics", critics), ("outcome.weight", weight)))
             for seed in range(SEEDS)
-            for weight in WEIGHTS
+            for weight in weights
         ]
-        for critics in CRITICS
+        for task, preset, sizes, weights in QUESTIONS
+        for critics in sizes
     ]
 
 
@@ -64,84 +70,115 @@ def summarise(out: Path) -> None:
     (out / "table.md").write_text(table(read_records(out)), encoding="utf-8")
 
 
+def data_file(work: Path, task: str) -> Path:
+    """The task's log, made when it is not there yet."""
+    return maze_file(work, task) if task == MAZE else locomotion_study.data_file(work, task)
+
+
 def measure(study: StudyRun, work: Path) -> dict[str, Any]:
     """Train (or continue) one run and return its record."""
-    from odaf.evaluation import Rollouts
-    from odaf.experiments import presets
-
     changes = dict(study.changes)
-    rollouts = Rollouts(episodes=EPISODES, every=EVALUATE_EVERY)
-    run = train_while_finite(study, work, presets.load(study.preset, changes), data_file(work, study.task), rollouts)
-    facts = run_facts(study, run)
-    return {
+    record = _measure_maze(study, work) if study.task == MAZE else locomotion_study.measure(study, work)
+    return record | {
         "study": "outcome",
-        "maze": study.task,
         "critics": changes["num_critics"],
         "weight": changes["outcome.weight"],
         "command": "odaf reproduce outcome",
-        **facts,
-        "data": {**facts["data"], **data_figures(run, study.task)},
     }
 
 
+def _measure_maze(study: StudyRun, work: Path) -> dict[str, Any]:
+    from odaf.evaluation import Rollouts
+    from odaf.experiments import presets
+
+    rollouts = Rollouts(episodes=EPISODES, every=EVALUATE_EVERY)
+    learner = presets.load(study.preset, dict(study.changes))
+    run = train_while_finite(study, work, learner, maze_file(work, study.task), rollouts)
+    facts = run_facts(study, run)
+    return {"maze": study.task, **facts, "data": {**facts["data"], **data_figures(run, study.task)}}
+
+
 def table(records: Sequence[dict[str, Any]]) -> str:
-    """Markdown: a row for every ensemble and weight over its seeds, with the paired difference against weight 0."""
+    """Markdown: for each task a row for every ensemble and weight over its seeds, with the gain over weight 0."""
+    maze = [record for record in records if "maze" in record]
+    hopper = [record for record in records if "maze" not in record]
     lines = [
-        f"Scores on {LOCAL}: the stitching maze, preset `odaf` but for critics and weight; last checkpoint,",
-        f"deterministic policy, {EPISODES} episodes a seed. Intervals are 95 % Student intervals over seeds. The gain",
-        "is the return less that of weight 0 with the same seed and number of critics, over seeds that have both. Made",
-        "by `odaf reproduce outcome` from the records in this folder.",
-        "",
-        "| critics | weight | updates | seeds | return | 95 % interval | worst seed | stitched | gain over weight 0 "
-        "| 95 % interval of the gain | pairs |",
-        "|---|---|---|---|---|---|---|---|---|---|---|",
+        f"Scores on {LOCAL}; last checkpoint, deterministic policy. Intervals are 95 % Student intervals over",
+        "seeds. The gain is the result less that of weight 0 with the same seed and number of critics, over seeds",
+        "that have both. Made by `odaf reproduce outcome` from the records in this folder.",
     ]
-    finished = [record for record in records if record["final"] is not None]
-    for (critics, steps), ensemble in grouped(finished, itemgetter("critics", "steps")).items():
-        weights = grouped(ensemble, itemgetter("weight"))
-        base = _returns(weights.get(0.0, []))
-        for weight, group in weights.items():
-            lines.append(_row(critics, weight, steps, group, base))
-    lost = [record for record in records if record["final"] is None]
-    if lost:
-        lines += ["", "Diverged, and in no row above:", ""]
-        lines += [
-            f"- {record['critics']} critics, weight {record['weight']:g}, seed {record['seed']}: after "
-            f"{record['updates']:,} of {record['steps']:,} updates"
-            for record in lost
-        ]
-    if records:
-        data = records[0]["data"]
+    if maze:
+        data = maze[0]["data"]
         lines += [
             "",
+            f"**The stitching maze**, preset `odaf` but for critics and weight, {EPISODES} episodes a seed.",
             f"Data ({LOCAL}): {data['transitions']:,} transitions, mean logged return {data['mean_return']:.1f}, best "
-            f"{data['best_return']:.1f}; the scripted driver sent straight to the goal's cell earns "
-            f"{data['direct_return']:.1f}, to the hidden target {data['ceiling']:.1f}.",
+            f"{data['best_return']:.1f};",
+            f"the scripted driver sent straight to the goal's cell earns {data['direct_return']:.1f}, to the hidden "
+            f"target {data['ceiling']:.1f}.",
+            "",
+            *_rows(maze, "return", itemgetter("mean_return"), itemgetter("stitched_rate")),
+        ]
+    if hopper:
+        data, task, environment = hopper[0]["data"], hopper[0]["task"], hopper[0]["environment"]
+        lines += [
+            "",
+            f"**{task}** ({environment}), preset `odaf-locomotion` but for critics and weight,",
+            f"{locomotion_study.FINAL_EPISODES} episodes a seed, normalised scores.",
+            f"Data ({LOCAL}): {data['transitions']:,} transitions, mean score {data['normalised_score']:.1f}.",
+            "",
+            *_rows(hopper, "score", itemgetter("normalised_score")),
         ]
     return "\n".join(lines) + "\n"
 
 
-def _row(critics: int, weight: float, steps: int, group: Sequence[dict[str, Any]], base: dict[int, float]) -> str:
-    from odaf.evaluation.statistics import paired_difference, t_interval
+Figure = Callable[[dict[str, Any]], float]  # of a record's final evaluation
 
-    returns = _returns(group)
-    estimate = t_interval(list(returns.values()))
-    stitched = sum(record["final"]["stitched_rate"] for record in group) / len(group)
-    gain = "| | | |"
-    seeds = sorted(returns.keys() & base.keys())
-    if weight != 0.0 and seeds:
-        difference = paired_difference([returns[seed] for seed in seeds], [base[seed] for seed in seeds])
-        gain = f"| {difference.mean:+.1f} | {_interval(difference, '+.1f')} | {len(seeds)} |"
-    return (
-        f"| {critics} | {weight:g} | {steps:,} | {len(group)} | {estimate.mean:.1f} | {_interval(estimate, '.1f')} "
-        f"| {min(returns.values()):.1f} | {stitched:.2f} {gain}"
-    )
+
+def _rows(records: Sequence[dict[str, Any]], name: str, result: Figure, stitched: Figure | None = None) -> list[str]:
+    """The table of one task, and beneath it the runs that have no result."""
+    titles = ["critics", "weight", "updates", "seeds", name, "95 % interval", "worst seed"]
+    titles += ["stitched"] if stitched else []
+    titles += ["gain over weight 0", "95 % interval of the gain", "pairs"]
+    lines = [f"| {' | '.join(titles)} |", "|---" * len(titles) + "|"]
+    finished = [record for record in records if record["final"] is not None]
+    for (critics, steps), ensemble in grouped(finished, itemgetter("critics", "steps")).items():
+        weights = grouped(ensemble, itemgetter("weight"))
+        results = {
+            weight: {record["seed"]: result(record["final"]) for record in group} for weight, group in weights.items()
+        }
+        for weight, group in weights.items():
+            share = f"{sum(stitched(record['final']) for record in group) / len(group):.2f} " if stitched else ""
+            gain = _gain(results[weight], results.get(0.0, {})) if weight != 0.0 else "| | | |"
+            cells = f"| {critics} | {weight:g} | {steps:,} | {len(group)} | {_summary(results[weight])} "
+            lines.append(cells + (f"| {share}" if share else "") + gain)
+    lost = [record for record in records if record["final"] is None]
+    if lost:
+        lines += ["", "Diverged, and in no row above:", ""]
+    return lines + [
+        f"- {record['critics']} critics, weight {record['weight']:g}, seed {record['seed']}: after "
+        f"{record['updates']:,} of {record['steps']:,} updates"
+        for record in lost
+    ]
+
+
+def _summary(results: dict[int, float]) -> str:
+    """Mean, interval and worst of the results by seed."""
+    from odaf.evaluation.statistics import t_interval
+
+    estimate = t_interval(list(results.values()))
+    return f"{estimate.mean:.1f} | {_interval(estimate, '.1f')} | {min(results.values()):.1f}"
+
+
+def _gain(results: dict[int, float], base: dict[int, float]) -> str:
+    from odaf.evaluation.statistics import paired_difference
+
+    seeds = sorted(results.keys() & base.keys())
+    if not seeds:
+        return "| | | |"
+    difference = paired_difference([results[seed] for seed in seeds], [base[seed] for seed in seeds])
+    return f"| {difference.mean:+.1f} | {_interval(difference, '+.1f')} | {len(seeds)} |"
 
 
 def _interval(estimate: Any, form: str) -> str:
     return f"[{estimate.low:{form}}, {estimate.high:{form}}]" if estimate.count > 1 else "one seed"
-
-
-def _returns(group: Sequence[dict[str, Any]]) -> dict[int, float]:
-    """Mean return of the last checkpoint by seed."""
-    return {record["seed"]: record["final"]["mean_return"] for record in group}

@@ -38,6 +38,7 @@ def plan() -> list[list[StudyRun]]:
             *runs("behaviour-cloning", "shaft", 2, 20_000),
             *runs("behaviour-cloning", "crossroads", 2, 20_000),
             *runs("odaf-paper", "stitch", 2, 10_000),
+            *runs("odaf", "stitch", 4, 20_000, products="bfloat16"),
         ],
         [
             *runs("odaf", "stitch", 2, 50_000),
