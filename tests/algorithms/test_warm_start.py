@@ -12,6 +12,7 @@ from odaf.algorithms.warm_start import returns_to_go
 from odaf.components.distributions import sample_tanh_gaussian, tanh_gaussian_log_density
 from odaf.data.dataset import Dataset
 from odaf.data.normalisation import Normaliser, scale_actions
+from odaf.errors import ConfigError
 
 SMALL = {"num_critics": 2, "hidden_sizes": (32, 32), "batch_size": 64, "warm_start": "returns", "discount": 0.9}
 
@@ -83,7 +84,7 @@ def test_the_fit_learns_the_logs_values_and_actions_and_training_begins_there():
 
     state = learner.init(jr.key(1), spec, side)
     assert state.side == ()
-    tiny.assert_same_bits((state.actor, state.critics, state.target_critics), (*side[0], side[0][1]))
+    tiny.assert_same_bits((state.actor, state.critics, state.target_critics), (*side[0][:2], side[0][1]))
     observations = jnp.asarray(normaliser.normalise(dataset.observations))
     scaled = jnp.asarray(scale_actions(dataset.actions, dataset.action_low, dataset.action_high))
     returns = returns_to_go(dataset, 0.9)
@@ -95,3 +96,42 @@ def test_the_fit_learns_the_logs_values_and_actions_and_training_begins_there():
 
     fresh = EnsembleSAC(**{**SMALL, "warm_start": "none"})
     assert fresh.untrained_side(jr.key(3), spec) == () == fresh.pretrain(dataset, normaliser, jr.key(4), _ignore)[0]
+
+
+def test_the_target_entropy_can_be_that_of_the_logged_actions():
+    # Actions uniform in [-0.5, 0.5]^2 whatever the state: one nat of entropy a dimension less than ln 2, that is
+    # ln(1) = 0 for each. A squashed Gaussian that is fitted to them cannot have quite the same shape, so its mean
+    # log-density is at most 0.
+    rng = np.random.default_rng(0)
+    rows = 4000
+    dataset = Dataset.from_arrays(
+        rng.normal(size=(rows, 2)),
+        rng.uniform(-0.5, 0.5, (rows, 2)),
+        np.zeros(rows),
+        next_observations=rng.normal(size=(rows, 2)),
+        truncated=np.arange(rows) % 50 == 49,
+        action_bounds=(-1.0, 1.0),
+    )
+    learner = EnsembleSAC(**SMALL, warm_start_steps=1500, target_entropy="log")
+    side, report = learner.pretrain(dataset, Normaliser.fit(dataset.observations), jr.key(0), _ignore)
+    state = learner.init(jr.key(1), dataset.spec(), side)
+    assert float(state.target_entropy) == pytest.approx(-report["warm_start"]["action_log_density"])
+    assert 0.0 <= float(state.target_entropy) < 0.3
+
+    # The temperature steers to it: entropy above the target lowers alpha.
+    def moved(target: float) -> float:
+        batch = tiny.batch()
+        small = EnsembleSAC(**tiny.SMALL, target_entropy=target)
+        before = small.init(jr.key(0), tiny.SPEC, ())
+        after, _ = small.update(before, batch, jr.key(1))
+        return float(after.log_temperature - before.log_temperature)
+
+    assert moved(-50.0) < 0.0 < moved(50.0)
+
+
+def test_without_a_warm_start_nothing_measures_the_logs_randomness():
+    with pytest.raises(ConfigError, match="warm_start='returns'"):
+        EnsembleSAC(target_entropy="log")
+    for number, expected in ((None, -tiny.SPEC.act_dim), (-0.5, -0.5)):
+        state = EnsembleSAC(**tiny.SMALL, target_entropy=number).init(jr.key(0), tiny.SPEC, ())
+        assert float(state.target_entropy) == expected

@@ -98,6 +98,7 @@ def state_of(learner: EnsembleSAC, *, side=(), bounds=(-np.inf, np.inf), size: f
         critics=filled(shape.critics, 3, size),
         target_critics=filled(shape.target_critics, 4, size),
         log_temperature=floats(np.log(0.5)),
+        target_entropy=floats(-ACT_DIM if learner.target_entropy is None else learner.target_entropy),
         reward_scale=floats(1.0),
         value_bounds=floats(bounds),
         side=side,

@@ -57,6 +57,7 @@ class EnsembleState(LearnerState):
     critics: CriticEnsemble
     target_critics: CriticEnsemble  # Q'
     log_temperature: Float[Array, ""]
+    target_entropy: Float[Array, ""]  # H, in nats
     actor_optimiser: optax.OptState
     critic_optimiser: optax.OptState
     temperature_optimiser: optax.OptState
@@ -124,8 +125,9 @@ class EnsembleSAC(Algorithm[EnsembleState]):
     """Step size of Adam for log alpha; 0 keeps alpha at its initial value."""
     initial_temperature: float = 1.0
     """alpha at step 0."""
-    target_entropy: float | None = None
-    """Entropy in nats that alpha steers to; None gives minus the number of action dimensions."""
+    target_entropy: Literal["log"] | float | None = None
+    """Entropy in nats that alpha steers to; None gives minus the number of action dimensions, "log" the entropy of the
+    actor that the warm start fits to the logged actions."""
     terms: tuple[Term, ...] = ()
     """Additions to the losses."""
 
@@ -141,6 +143,10 @@ class EnsembleSAC(Algorithm[EnsembleState]):
                 raise ConfigError(
                     f"{field}={getattr(self, field)} must lie in (0, 1]: the share that moves each update"
                 )
+        if self.target_entropy == "log" and self.warm_start == "none":
+            raise ConfigError(
+                "target_entropy='log' is measured by the warm start; set warm_start='returns' or a number"
+            )
         if self.reward_scale != "auto" and not 0.0 < self.reward_scale < math.inf:
             raise ConfigError(f"reward_scale={self.reward_scale} must be positive, or 'auto'")
         for field in ("prior_scale", "target_deviations"):
@@ -168,9 +174,9 @@ class EnsembleSAC(Algorithm[EnsembleState]):
     # ---- before training ----------------------------------------------------------------------------------------
 
     def untrained_side(self, key: PRNGKeyArray, spec: Spec) -> tuple[PyTree, ...]:
-        """The active terms' side networks, untrained; with a warm start, the first networks behind them."""
+        """The active terms' side networks, untrained; with a warm start, what it fits behind them."""
         sides = tuple(term.untrained_side(_key_for(term, key), spec) for term in self.active_terms)
-        return sides if self.warm_start == "none" else (*sides, self._networks(key, spec))
+        return sides if self.warm_start == "none" else (*sides, (*self._networks(key, spec), jnp.zeros(())))
 
     def pretrain(
         self, dataset: Dataset, normaliser: Normaliser, key: PRNGKeyArray, progress: PretrainProgress
@@ -198,7 +204,7 @@ class EnsembleSAC(Algorithm[EnsembleState]):
                 learning_rate=self.critic_learning_rate,
                 progress=lambda done, steps: progress("warm start", done, steps),
             )
-            sides.append((actor, critics))
+            sides.append((actor, critics, jnp.asarray(-findings["action_log_density"], dtype=jnp.float32)))
             report["warm_start"] = findings
         return tuple(sides), report
 
@@ -206,8 +212,10 @@ class EnsembleSAC(Algorithm[EnsembleState]):
         """Random networks or those of the warm start, slow copies equal to them, fresh optimisers."""
         if self.warm_start == "none":
             actor, critics = self._networks(key, spec)
+            logged_entropy = jnp.nan
         else:
-            side, (actor, critics) = side[:-1], side[-1]
+            side, (actor, critics, logged_entropy) = side[:-1], side[-1]
+        target_entropy = -spec.act_dim if self.target_entropy is None else self.target_entropy
         log_temperature = jnp.asarray(math.log(self.initial_temperature), dtype=jnp.float32)
         return EnsembleState(
             step=jnp.asarray(0),
@@ -216,6 +224,7 @@ class EnsembleSAC(Algorithm[EnsembleState]):
             critics=critics,
             target_critics=copy_of(critics),
             log_temperature=log_temperature,
+            target_entropy=jnp.asarray(logged_entropy if target_entropy == "log" else target_entropy, jnp.float32),
             actor_optimiser=_moments(self.actor_learning_rate, actor),
             critic_optimiser=_moments(self.critic_learning_rate, critics),
             temperature_optimiser=_moments(self.temperature_learning_rate, log_temperature),
@@ -329,8 +338,7 @@ class EnsembleSAC(Algorithm[EnsembleState]):
             state.actor, state, batch, key_actor
         )
         critic_gradient, critic_metrics = self.critic_gradient(state, batch, key_critic)
-        target_entropy = float(-batch.actions.shape[1]) if self.target_entropy is None else self.target_entropy
-        temperature_gradient = jax.grad(temperature_loss)(state.log_temperature, log_density, target_entropy)
+        temperature_gradient = jax.grad(temperature_loss)(state.log_temperature, log_density, state.target_entropy)
 
         actor, actor_optimiser = _adam(self.actor_learning_rate, actor_gradient, state.actor_optimiser, state.actor)
         critics, critic_optimiser = _adam(

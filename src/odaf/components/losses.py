@@ -48,7 +48,7 @@ def soft_actor_loss(
 
 
 def temperature_loss(
-    log_temperature: Float[Array, ""], log_density: Float[Array, " rows"], target_entropy: float
+    log_temperature: Float[Array, ""], log_density: Float[Array, " rows"], target_entropy: float | Float[Array, ""]
 ) -> Float[Array, ""]:
     """-mean_B log(alpha) (log pi + H): entropy below the target H raises alpha. Only log(alpha) gets a gradient."""
     return -jnp.mean(log_temperature * jax.lax.stop_gradient(log_density + target_entropy))
