@@ -107,9 +107,9 @@ def test_a_partial_run_answers_for_the_smallest_ensemble_first() -> None:
     maze, hopper = {"stitch"}, {"hopper-medium"}
     assert asked == [(maze, {2}), (maze, {4}), (maze, {10}), (hopper, {4}), (hopper, {10})]
     for phase in phases:
-        weights = (0.0, 0.3, 3.0) if phase[0].task == "stitch" else (0.0, 20.0)
+        weights = (0.0, 0.3, 3.0) if phase[0].task == "stitch" else (0.0, 1.0, 20.0)
         pairs = [(run.seed, dict(run.changes)["outcome.weight"]) for run in phase]
         assert pairs == [(seed, weight) for seed in range(3) for weight in weights]
         assert {run.steps for run in phase} == {20_000}
     runs = [run for phase in phases for run in phase]
-    assert len({run.title for run in runs}) == len(runs) == 27 + 12
+    assert len({run.title for run in runs}) == len(runs) == 27 + 18

@@ -28,7 +28,7 @@ MAZE, HOPPER = "stitch", locomotion_study.HOPPER
 # For each task its preset, the sizes of the ensemble, and the weights of the term.
 QUESTIONS = (
     (MAZE, "odaf", (2, 4, 10), (0.0, 0.3, 3.0)),
-    (HOPPER, "odaf-locomotion", (4, 10), (0.0, 20.0)),
+    (HOPPER, "odaf-locomotion", (4, 10), (0.0, 1.0, 20.0)),
 )
 SEEDS = 3
 STEPS = 20_000
