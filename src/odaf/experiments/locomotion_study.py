@@ -38,6 +38,7 @@ DEFAULT: tuple[Method, ...] = (("behaviour-cloning", ()), ("odaf-locomotion", ()
 # What each of its parts is worth: the same with one of them taken out.
 PARTS: tuple[Method, ...] = (
     ("odaf-locomotion-without-outcome", ()),
+    ("odaf-locomotion", (("prior_scale", 0.0),)),
     ("odaf-locomotion", (("return_steps", 1),)),
     ("odaf-locomotion", (("warm_start", "none"),)),
     ("odaf-locomotion", (("reward_scale", 1.0),)),
