@@ -40,7 +40,7 @@ PARTS: tuple[Method, ...] = (
     ("odaf-locomotion-without-outcome", ()),
     ("odaf-locomotion", (("prior_scale", 0.0),)),
     ("odaf-locomotion", (("return_steps", 1),)),
-    ("odaf-locomotion", (("warm_start", "none"),)),
+    ("odaf-locomotion", (("warm_start", "none"), ("target_entropy", -1.0))),  # about what the warm start measures
     ("odaf-locomotion", (("reward_scale", 1.0),)),
 )
 OTHERS: tuple[Method, ...] = (
