@@ -35,10 +35,10 @@ Method = tuple[str, tuple[tuple[str, Any], ...]]
 
 # Our default for such tasks, beside the yardstick.
 DEFAULT: tuple[Method, ...] = (("behaviour-cloning", ()), ("odaf-locomotion", ()))
-# What each of its parts is worth: the same with one of them taken out.
+# What each of its parts is worth: the same with one of them taken out, or with random networks beside the critics.
 PARTS: tuple[Method, ...] = (
     ("odaf-locomotion-without-outcome", ()),
-    ("odaf-locomotion", (("prior_scale", 0.0),)),
+    ("odaf-locomotion", (("prior_scale", 1.0),)),
     ("odaf-locomotion", (("return_steps", 1),)),
     ("odaf-locomotion", (("warm_start", "none"), ("target_entropy", -1.0))),  # about what the warm start measures
     ("odaf-locomotion", (("reward_scale", 1.0),)),
