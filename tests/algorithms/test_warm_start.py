@@ -99,9 +99,8 @@ def test_the_fit_learns_the_logs_values_and_actions_and_training_begins_there():
 
 
 def test_the_target_entropy_can_be_that_of_the_logged_actions():
-    # Actions uniform in [-0.5, 0.5]^2 whatever the state: one nat of entropy a dimension less than ln 2, that is
-    # ln(1) = 0 for each. A squashed Gaussian that is fitted to them cannot have quite the same shape, so its mean
-    # log-density is at most 0.
+    # Actions uniform in [-0.5, 0.5]^2 whatever the state have an entropy of ln 1 = 0 nats. No other density can have a
+    # smaller mean -log p over them, and a squashed Gaussian cannot quite have their shape.
     rng = np.random.default_rng(0)
     rows = 4000
     dataset = Dataset.from_arrays(
