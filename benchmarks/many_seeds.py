@@ -32,12 +32,12 @@ def alone(job: tuple[str, int, int, float]) -> float:
     name, seed, updates, start = job
     algorithm, rows = learners.load(name), learners.columns()
     state = settled(learners.state_of(algorithm))
-    state, _ = train_stretch((algorithm, rows, training_key(seed), _number(0), _number(2)), state)
+    state, _ = train_stretch(algorithm, rows, training_key(seed), _number(0), _number(2), state)
     jax.block_until_ready(state)
     while time.time() < start:
         time.sleep(0.01)
     before = time.perf_counter()
-    state, _ = train_stretch((algorithm, rows, training_key(seed), _number(2), _number(2 + updates)), state)
+    state, _ = train_stretch(algorithm, rows, training_key(seed), _number(2), _number(2 + updates), state)
     jax.block_until_ready(state)
     return updates / (time.perf_counter() - before)
 
@@ -53,10 +53,10 @@ def in_one_call(name: str, seeds: int, updates: int) -> float:
     algorithm, rows = learners.load(name), learners.columns()
     states: Any = stacked([settled(learners.state_of(algorithm)) for _ in range(seeds)])
     keys = jr.split(jr.key(0), seeds)
-    states, _ = train_stretch_many((algorithm, rows, keys, _number(0), _number(2)), states)
+    states, _ = train_stretch_many(algorithm, rows, keys, _number(0), _number(2), states)
     jax.block_until_ready(states)
     before = time.perf_counter()
-    states, _ = train_stretch_many((algorithm, rows, keys, _number(2), _number(2 + updates)), states)
+    states, _ = train_stretch_many(algorithm, rows, keys, _number(2), _number(2 + updates), states)
     jax.block_until_ready(states)
     return seeds * updates / (time.perf_counter() - before)
 

@@ -2,12 +2,14 @@
 
 import dataclasses
 
+import jax
 import numpy as np
 import pytest
 
 from odaf.data import Dataset, Normaliser, device_columns, training_columns
 from odaf.data.mixing_batches import MixedColumns
 from odaf.data.mixture import Mixture
+from odaf.data.sampling import training_column_shapes
 from odaf.errors import DatasetError
 
 DISCOUNT = 0.9
@@ -67,6 +69,18 @@ def test_one_step_keeps_every_row_and_every_bit_of_the_rewards() -> None:
 def test_more_steps_than_any_episode_has_is_refused() -> None:
     with pytest.raises(DatasetError, match="return_steps=5: no episode has so many steps"):
         _columns(_log(False), 5)
+
+
+@pytest.mark.parametrize("mixture", [None, Mixture(4, 0.5)])
+@pytest.mark.parametrize("steps", [1, 2, 3])
+@pytest.mark.parametrize("terminated", [False, True])
+def test_shapes_are_known_before_the_columns_are_there(steps: int, mixture: Mixture | None, terminated: bool) -> None:
+    log = dataclasses.replace(_log(terminated), mixture=mixture)
+    shapes = training_column_shapes(log, steps)
+    columns = training_columns(log, Normaliser.identity(1), steps, DISCOUNT)
+    assert jax.tree.structure(shapes) == jax.tree.structure(columns)
+    for shape, column in zip(jax.tree.leaves(shapes), jax.tree.leaves(columns), strict=True):
+        assert (shape.shape, shape.dtype) == (column.shape, column.dtype)
 
 
 @pytest.mark.parametrize(("steps", "border"), [(1, 4), (2, 3), (3, 2)])

@@ -364,3 +364,15 @@ def test_state_keeps_firm_types_and_separate_buffers():
     settled = loop.settled({"a": shared, "b": shared, "c": jnp.asarray(1.0)})
     assert settled["a"].unsafe_buffer_pointer() != settled["b"].unsafe_buffer_pointer()
     assert not any(leaf.weak_type for leaf in jax.tree.leaves(settled))
+
+
+def test_training_is_compiled_before_anything_is_trained_and_once_for_all_seeds(tiny, tmp_path, monkeypatch):
+    order, compile_it, pretrain = [], loop.compiled_stretch, tiny.TinyLearner.pretrain
+
+    def told(name, function):
+        return lambda *arguments: order.append(name) or function(*arguments)
+
+    monkeypatch.setattr(loop, "compiled_stretch", told("compile", compile_it))
+    monkeypatch.setattr(tiny.TinyLearner, "pretrain", told("pretrain", pretrain))
+    _fit(tiny, tmp_path, seeds=(0, 1))
+    assert order == ["compile", "pretrain", "pretrain"]

@@ -45,12 +45,12 @@ def test_each_lane_is_its_seed_alone(tiny, kind):
     keys = jnp.stack([loop.training_key(seed) for seed in SEEDS])
     states = loop.stacked([_first(learner, dataset, seed) for seed in SEEDS])
     for first, last in ((0, 2), (2, 5)):
-        states, many = loop.train_stretch_many(_fixed(learner, dataset, keys, first, last), states)
+        states, many = loop.train_stretch_many(*_fixed(learner, dataset, keys, first, last), states)
     for index, seed in enumerate(SEEDS):
         state = _first(learner, dataset, seed)
         for first, last in ((0, 2), (2, 5)):
             fixed = _fixed(learner, dataset, loop.training_key(seed), first, last)
-            state, metrics = loop.train_stretch(fixed, state)
+            state, metrics = loop.train_stretch(*fixed, state)
         _close(loop.lane(states, index), state)
         _close({name: values[index] for name, values in many.items()}, metrics)
 
@@ -81,7 +81,7 @@ for learner in (tiny.TinyLearner(), odaf.EnsembleSAC(num_critics=2, hidden_sizes
         lines = []
         for first in (0, 2, 4):
             fixed = (learner, here, loop.training_key(0), jnp.asarray(first), jnp.asarray(first + 2))
-            state, metrics = loop.train_stretch(fixed, state, mesh)
+            state, metrics = loop.train_stretch(*fixed, state, mesh)
             lines.append({name: float(value) for name, value in metrics.items()})
         leaves = [leaf for leaf in jax.tree.leaves(state) if isinstance(leaf, jax.Array)]
         assert all(len(leaf.devices()) == devices and leaf.is_fully_replicated for leaf in leaves)
@@ -93,7 +93,7 @@ for learner in (tiny.TinyLearner(), odaf.EnsembleSAC(num_critics=2, hidden_sizes
             np.testing.assert_allclose(theirs[name], ours[name], rtol=1e-5, atol=1e-6, err_msg=name)
     for ours, theirs in zip(leaves, sharded, strict=True):
         np.testing.assert_allclose(theirs, ours, rtol=1e-5, atol=1e-6)
-    text = loop.train_stretch.lower(fixed, state, mesh).compile().compiled.as_text()
+    text = loop.train_stretch.lower(*fixed, state, mesh).compile().as_text()
     assert "all-reduce" in text, "the devices did not share the work"
 print("same")
 """

@@ -32,7 +32,7 @@ def drawn(tiny, columns, updates, seed=0):
     state = loop.settled(learner.init(jr.key(0), tiny.tiny_dataset().spec(), jnp.zeros(2)))
     for step in range(updates):
         fixed = (learner, columns, loop.training_key(seed), jnp.asarray(step), jnp.asarray(step + 1))
-        state, metrics = loop.train_stretch(fixed, state)
+        state, metrics = loop.train_stretch(*fixed, state)
         found.append([float(metrics[f"place/{place}"]) for place in range(learner.batch_size)])
     return np.array(found)
 

@@ -1,6 +1,7 @@
 """A dataset on the device, and batches drawn from it inside compiled code."""
 
 import jax
+import jax.numpy as jnp
 import jax.random as jr
 import numpy as np
 from jaxtyping import Array, PRNGKeyArray
@@ -21,7 +22,24 @@ def training_columns(dataset: Dataset, normaliser: Normaliser, return_steps: int
     Raises:
         DatasetError: as `device_columns`, or a part of a mixture has no row with so many steps.
     """
-    columns = device_columns(dataset, normaliser, return_steps, discount)
+    return _with_mixture(device_columns(dataset, normaliser, return_steps, discount), dataset, return_steps)
+
+
+def training_column_shapes(dataset: Dataset, return_steps: int = 1) -> Columns:
+    """The shapes of `training_columns`, with nothing put on the device; raises what that does."""
+    rows = len(dataset) if return_steps == 1 else len(_n_step_rows(dataset, return_steps)[1])
+
+    states, actions = dataset.observations.shape[1], dataset.actions.shape[1]
+
+    def columns() -> Transitions:
+        state, action, number = (jnp.zeros(shape) for shape in ((rows, states), (rows, actions), (rows,)))
+        return Transitions(state, action, number, state, number)
+
+    shapes = jax.eval_shape(columns)
+    return _with_mixture(shapes, dataset, return_steps)
+
+
+def _with_mixture(columns: Transitions, dataset: Dataset, return_steps: int) -> Columns:
     if dataset.mixture is None:
         return columns
     border = dataset.mixture.border

@@ -11,7 +11,6 @@ from typing import Any
 import jax
 
 from odaf.data.dataset import Dataset
-from odaf.data.sampling import Columns, training_columns
 from odaf.environments.registry import make
 from odaf.errors import ConfigError, OdafError
 from odaf.evaluation.rollouts import RolloutEvaluator, Rollouts
@@ -21,7 +20,7 @@ from odaf.training.fit import TrainSeeds, check_same_data, one_after_another
 from odaf.training.lock import joined
 from odaf.training.logging import Logger
 from odaf.training.run_directory import RunDirectory
-from odaf.training.seeds import SeedTraining
+from odaf.training.seeds import SeedTraining, TrainingData, compiling_stage, prepare
 
 # Settings of JAX that change results or where compiled programs are kept; a fresh process would not know them.
 _JAX_SETTINGS = (
@@ -110,15 +109,14 @@ def _prepare(shared: _Shared) -> None:
 
 
 @functools.cache
-def _data() -> tuple[Dataset, Columns]:
-    """The data, which all seeds of one worker share."""
+def _data() -> TrainingData:
+    """The data and the compiled training, which all seeds of one worker share."""
     run = RunDirectory(_shared.path)
     dataset = _shared.data
     if isinstance(dataset, Path):
         dataset = Dataset.load(dataset)
         check_same_data(run, dataset)
-    learner = run.algorithm
-    return dataset, training_columns(dataset, run.normaliser, learner.return_steps, learner.discount)
+    return prepare(run, dataset, lambda: None)
 
 
 def _train(seed: int) -> OdafError | None:
@@ -129,9 +127,9 @@ def _train(seed: int) -> OdafError | None:
         with joined(run.path):
             evaluator = None if settings is None else evaluator_of(Rollouts.from_dict(settings))
             try:
-                dataset, columns = _data()
                 report = SeedReport(seed, tell)
-                SeedTraining(run, seed, evaluator, _shared.on_divergence, report).go(dataset, columns, _shared.loggers)
+                report.start(compiling_stage(seed), 0)
+                SeedTraining(run, seed, evaluator, _shared.on_divergence, report).go(_data(), _shared.loggers)
             finally:
                 if evaluator is not None:
                     evaluator.close()

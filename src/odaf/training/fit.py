@@ -9,7 +9,6 @@ from odaf.algorithms.base import Algorithm
 from odaf.algorithms.config import to_dict
 from odaf.data.dataset import Dataset
 from odaf.data.normalisation import Normaliser
-from odaf.data.sampling import training_columns
 from odaf.errors import ConfigError, DatasetError
 from odaf.training import run_directory
 from odaf.training.evaluator import Evaluator
@@ -18,7 +17,7 @@ from odaf.training.lock import locked
 from odaf.training.logging import Logger
 from odaf.training.progress import ProgressReport, default_progress
 from odaf.training.run_directory import RunDirectory
-from odaf.training.seeds import SeedTraining
+from odaf.training.seeds import SeedTraining, compiling_stage, prepare
 
 OnDivergence = Literal["warn", "stop"]
 # Brings the unfinished seeds of a run to their last step.
@@ -27,10 +26,10 @@ TrainSeeds = Callable[[Sequence[SeedTraining], Dataset, Sequence[Logger]], None]
 
 def one_after_another(seeds: Sequence[SeedTraining], dataset: Dataset, loggers: Sequence[Logger]) -> None:
     """Trains each seed to its end, in this process, before the next begins."""
-    run = seeds[0].run
-    columns = training_columns(dataset, run.normaliser, run.algorithm.return_steps, run.algorithm.discount)
+    first = seeds[0]
+    data = prepare(first.run, dataset, lambda: first.progress.start(compiling_stage(first.seed), 0))
     for seed in seeds:
-        seed.go(dataset, columns, loggers)
+        seed.go(data, loggers)
 
 
 def fit(

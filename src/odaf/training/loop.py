@@ -6,7 +6,7 @@ stretches, stopped or resumed changes no bit of its result.
 """
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -54,20 +54,28 @@ def settled(state: Any) -> Any:
     A target network that is the same array as its network could not be donated twice, and an array of weak type would
     compile differently from the one that a checkpoint gives back.
     """
-    return jax.tree.map(lambda leaf: _firm(jnp.copy(leaf)) if eqx.is_array(leaf) else leaf, state)
+    return jax.tree.map(lambda leaf: _firm(jnp.copy(leaf)), state)
 
 
-Fixed = tuple[Algorithm, Columns, PRNGKeyArray, Int[Array, ""], Int[Array, ""]]
-ManyFixed = tuple[Algorithm, Columns, Key[Array, " seeds"], Int[Array, ""], Int[Array, ""]]
-
-
-@eqx.filter_jit(donate="all-except-first")
-def train_stretch(fixed: Fixed, state: Any, mesh: Mesh | None = None) -> tuple[Any, dict[str, Float[Array, ""]]]:
+@functools.partial(jax.jit, static_argnames=("algorithm", "mesh"), donate_argnames="state")
+def train_stretch(
+    algorithm: Algorithm,
+    columns: Columns,
+    key: PRNGKeyArray,
+    first: Int[Array, ""],
+    last: Int[Array, ""],
+    state: Any,
+    mesh: Mesh | None = None,
+) -> tuple[Any, dict[str, Float[Array, ""]]]:
     """Runs updates `first + 1` to `last` and reduces their metrics.
 
     Args:
-        fixed: the learner, what batches are drawn from, the seed's `training_key`, `first` and `last`. Calls that
-            differ in the last three only share one compiled function; with `last` equal to `first` no update is run.
+        algorithm: the learner.
+        columns: what batches are drawn from.
+        key: the seed's `training_key`.
+        first: updates that `state` has had.
+        last: updates that the result will have had; if equal to `first`, no update is run. Calls that differ in key,
+            `first` and `last` alone share one compiled function.
         state: the learner's state after `first` updates. Its memory is given to the result: do not use it again.
         mesh: of `batch_mesh`, over which the rows of each batch are spread, while every device holds the whole state;
             None computes on one device. Sums over a batch are then added in another order, so the bits differ.
@@ -77,41 +85,66 @@ def train_stretch(fixed: Fixed, state: Any, mesh: Mesh | None = None) -> tuple[A
         where it ends in `/min`, otherwise the mean over the updates. One value that is not a number makes the result
         not a number.
     """
-    algorithm, columns, key, first, last = fixed
-    arrays, static = eqx.partition(state, eqx.is_array)
-    arrays, means = _stretch(algorithm, columns, static, mesh, first, last, key, arrays)
-    return eqx.combine(arrays, static), means
+    return _stretch(algorithm, columns, mesh, first, last, key, state)
 
 
-@eqx.filter_jit(donate="all-except-first")
-def train_stretch_many(fixed: ManyFixed, states: Any) -> tuple[Any, dict[str, Float[Array, " seeds"]]]:
+@functools.partial(jax.jit, static_argnames="algorithm", donate_argnames="states")
+def train_stretch_many(
+    algorithm: Algorithm,
+    columns: Columns,
+    keys: Key[Array, " seeds"],
+    first: Int[Array, ""],
+    last: Int[Array, ""],
+    states: Any,
+) -> tuple[Any, dict[str, Float[Array, " seeds"]]]:
     """`train_stretch` for many seeds in one compiled call; each lane is that seed's own training.
 
     Args:
-        fixed: as for `train_stretch`, with the seeds' `training_key`s stacked, [seeds]; all seeds are at the same step.
+        algorithm: as for `train_stretch`, like `columns`, `first` and `last`; all seeds are at the same step.
+        columns: what batches are drawn from.
+        keys: the seeds' `training_key`s, stacked.
+        first: updates that `states` have had.
+        last: updates that the result will have had.
         states: the `stacked` states of the seeds. Their memory is given to the result: do not use them again.
 
     Returns:
         The stacked states after `last` updates, and one number a metric and seed. A lane agrees with the single run up
         to rounding, since products over many lanes are compiled differently.
     """
-    algorithm, columns, keys, first, last = fixed
-    arrays, static = eqx.partition(states, eqx.is_array)
-    train = functools.partial(_stretch, algorithm, columns, static, None, first, last)
-    arrays, means = jax.vmap(train)(keys, arrays)
-    return eqx.combine(arrays, static), means
+    return jax.vmap(functools.partial(_stretch, algorithm, columns, None, first, last))(keys, states)
+
+
+# `train_stretch` for one learner and shape of its data: of columns, key, first, last and state.
+CompiledStretch = Callable[..., tuple[Any, dict[str, Float[Array, ""]]]]
+
+
+def compiled_stretch(algorithm: Algorithm, columns: Columns, state: Any) -> CompiledStretch:
+    """`train_stretch` compiled for shapes alone, before the data and networks they belong to take any memory.
+
+    Args:
+        algorithm: the learner.
+        columns: `training_column_shapes` of the data.
+        state: `run_directory.blank_state` of the learner.
+    """
+    key = jax.eval_shape(lambda: training_key(0))
+    number = jax.ShapeDtypeStruct((), jnp.int32)
+    state = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype), state)  # as `settled` makes it
+    return train_stretch.lower(algorithm, columns, key, number, number, state).compile()
+
+
+def update_number(step: int) -> Int[Array, ""]:
+    """A number of updates, as `train_stretch` takes it."""
+    return jnp.asarray(step, dtype=jnp.int32)
 
 
 def stacked(states: Sequence[Any]) -> Any:
     """States of one learner as one state whose arrays have a leading axis [seeds]."""
-    arrays = [eqx.filter(state, eqx.is_array) for state in states]
-    static = eqx.filter(states[0], eqx.is_array, inverse=True)
-    return eqx.combine(jax.tree.map(lambda *leaves: jnp.stack(leaves), *arrays), static)
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *states)
 
 
 def lane(states: Any, index: int) -> Any:
     """One of the states that were `stacked`, in memory of its own."""
-    return jax.tree.map(lambda leaf: leaf[index] if eqx.is_array(leaf) else leaf, states)
+    return jax.tree.map(lambda leaf: leaf[index], states)
 
 
 def batch_mesh(devices: int, batch_size: int) -> Mesh:
@@ -131,43 +164,42 @@ def batch_mesh(devices: int, batch_size: int) -> Mesh:
 def on_every_device(tree: Any, mesh: Mesh) -> Any:
     """`tree` with a whole copy of each array on every device of `mesh`."""
     everywhere = NamedSharding(mesh, PartitionSpec())
-    return jax.tree.map(lambda leaf: jax.device_put(leaf, everywhere) if eqx.is_array(leaf) else leaf, tree)
+    return jax.tree.map(lambda leaf: jax.device_put(leaf, everywhere), tree)
 
 
 def _stretch(
     algorithm: Algorithm,
     columns: Columns,
-    static: Any,
     mesh: Mesh | None,
     first: Int[Array, ""],
     last: Int[Array, ""],
     key: PRNGKeyArray,
-    arrays: Any,
+    state: Any,
 ) -> tuple[Any, dict[str, Array]]:
     @jax.jit  # so that it is traced once for both of its uses
-    def update(arrays: Any, step: Int[Array, ""]) -> tuple[Any, dict[str, Array]]:
+    def update(state: Any, step: Int[Array, ""]) -> tuple[Any, dict[str, Array]]:
         key_sample, key_update = jr.split(jr.fold_in(key, step))
         batch = sample(columns, key_sample, algorithm.batch_size)
         if mesh is not None:
             batch = jax.lax.with_sharding_constraint(batch, NamedSharding(mesh, PartitionSpec(_BATCH)))
-        after, metrics = algorithm.update(eqx.combine(arrays, static), batch, key_update)
+        after, metrics = algorithm.update(state, batch, key_update)
         metrics = {name: jnp.asarray(value).astype(jnp.float32) for name, value in metrics.items()}
-        arrays = jax.tree.map(_firm, eqx.filter(after, eqx.is_array))
+        after = jax.tree.map(_firm, after)
         if mesh is not None:
-            arrays = jax.lax.with_sharding_constraint(arrays, NamedSharding(mesh, PartitionSpec()))
-        return arrays, metrics
+            after = jax.lax.with_sharding_constraint(after, NamedSharding(mesh, PartitionSpec()))
+        return after, metrics
 
     def one(step: Int[Array, ""], carry: tuple[Any, dict[str, Array]]) -> tuple[Any, dict[str, Array]]:
-        arrays, totals = carry
-        arrays, metrics = update(arrays, step)
-        return arrays, {name: _accumulate(name, totals[name], value) for name, value in metrics.items()}
+        state, totals = carry
+        state, metrics = update(state, step)
+        return state, {name: _accumulate(name, totals[name], value) for name, value in metrics.items()}
 
-    _, shapes = jax.eval_shape(update, arrays, first)
+    _, shapes = jax.eval_shape(update, state, first)
     totals = {name: jnp.full(shape.shape, _start(name), jnp.float32) for name, shape in shapes.items()}
-    arrays, totals = jax.lax.fori_loop(first, last, one, (arrays, totals))
+    state, totals = jax.lax.fori_loop(first, last, one, (state, totals))
     count = jnp.maximum(last - first, 1).astype(jnp.float32)
     means = {name: value if name.endswith(("/max", "/min")) else value / count for name, value in totals.items()}
-    return arrays, means
+    return state, means
 
 
 def is_finite(state: Any) -> bool:

@@ -2,23 +2,59 @@
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 
 from odaf.data.dataset import Dataset
-from odaf.data.sampling import Columns
+from odaf.data.sampling import Columns, training_column_shapes, training_columns
 from odaf.errors import DivergenceError
 from odaf.training import checkpoints, loop, run_directory
 from odaf.training.evaluator import Evaluator
 from odaf.training.files import write_json
 from odaf.training.logging import JsonLines, Logger
+from odaf.training.memory import give_back_freed_memory
 from odaf.training.monitors import DivergenceMonitor, TrainingWarning
 from odaf.training.progress import ProgressReport
 from odaf.training.run_directory import RunDirectory
+
+
+@dataclass(frozen=True)
+class TrainingData:
+    """What all seeds of a run that train in one process share."""
+
+    dataset: Dataset
+    columns: Columns
+    train: loop.CompiledStretch
+    compile_seconds: float
+
+
+def prepare(run: RunDirectory, dataset: Dataset, compiling: Callable[[], None]) -> TrainingData:
+    """Compiles a run's training, then puts its data on the device.
+
+    In this order because the compiler needs more memory than all else: it has freed its own before the data need any.
+
+    Args:
+        run: its learner and normaliser are used.
+        dataset: the data it trains on.
+        compiling: called before compilation starts, which takes seconds.
+    """
+    learner = run.algorithm
+    compiling()
+    began = time.perf_counter()
+    shapes = training_column_shapes(dataset, learner.return_steps)
+    train = loop.compiled_stretch(learner, shapes, run_directory.blank_state(learner, run.spec))
+    give_back_freed_memory()
+    took = time.perf_counter() - began
+    columns = training_columns(dataset, run.normaliser, learner.return_steps, learner.discount)
+    return TrainingData(dataset, columns, train, took)
+
+
+def compiling_stage(seed: int) -> str:
+    """What a progress report calls the stage before the first update is there."""
+    return f"seed {seed}: compiling"
 
 
 def training_stage(seed: int) -> str:
@@ -72,8 +108,10 @@ class SeedTraining:
         """Whether the last checkpoint is the last one asked for; it was evaluated before it was written."""
         return self.step >= self.steps
 
-    def go(self, dataset: Dataset, columns: Columns, loggers: Sequence[Logger]) -> None:
+    def go(self, data: TrainingData, loggers: Sequence[Logger]) -> None:
         """Trains to the last step, with the files in a state to be continued after every write.
+
+        The record counts the compilation of `data` although seeds may share it: alone, each would need it.
 
         Raises:
             DivergenceError: as `odaf.training.fit.fit`.
@@ -81,13 +119,15 @@ class SeedTraining:
         self.directory.mkdir(exist_ok=True)
         run_directory.clean(self.directory, self.step)
         self.began = time.perf_counter() - self.record.seconds.get("total", 0.0)
-        state = loop.settled(self.run.state(self.seed, self.step)) if self.checkpoint else self._first_state(dataset)
+        self.began -= data.compile_seconds
+        _add(self.record.seconds, "compile", data.compile_seconds)
+        state = self.run.state(self.seed, self.step) if self.checkpoint else self._first_state(data.dataset)
         lines = JsonLines()
         everyone = (lines, *loggers)
         try:
             for logger in everyone:
                 logger.open(self.directory, self.step)
-            self._go_on(state, columns, everyone, lines)
+            self._go_on(loop.settled(state), data, everyone, lines)
         finally:
             for logger in everyone:
                 logger.close()
@@ -108,11 +148,11 @@ class SeedTraining:
             self._warn(TrainingWarning("pretrain", 0, sentence))
         self.record.pretrain = {name: value for name, value in findings.items() if name != "warnings"}
         self.record.seconds["pretrain"] = time.perf_counter() - began
-        state = loop.settled(loop.first_state(run.algorithm, run.spec, loop.init_key(self.seed), side))
+        state = loop.first_state(run.algorithm, run.spec, loop.init_key(self.seed), side)
         self._save(state)
         return state
 
-    def _go_on(self, state: Any, columns: Columns, loggers: Sequence[Logger], lines: JsonLines) -> None:
+    def _go_on(self, state: Any, data: TrainingData, loggers: Sequence[Logger], lines: JsonLines) -> None:
         run, record, seconds = self.run, self.record, self.record.seconds
         monitor = DivergenceMonitor(
             run.spec, run.algorithm.discount, run.config["algorithm"], seen={w.kind for w in record.warnings}
@@ -120,16 +160,12 @@ class SeedTraining:
         key = loop.training_key(self.seed)
         record.status = "running"
         self.write_summary()
-        self.progress.start(f"seed {self.seed}: compiling", 0)
-        began, here = time.perf_counter(), jnp.asarray(self.step)
-        state, _ = jax.block_until_ready(loop.train_stretch((run.algorithm, columns, key, here, here), state))
-        _add(seconds, "compile", time.perf_counter() - began)
         self.progress.start(training_stage(self.seed), self.steps, self.step)
         while self.step < self.steps:
             stop = self._next_stop()
-            fixed = (run.algorithm, columns, key, jnp.asarray(self.step), jnp.asarray(stop))
+            first, last = loop.update_number(self.step), loop.update_number(stop)
             began = time.perf_counter()
-            state, reduced = loop.train_stretch(fixed, state)
+            state, reduced = data.train(data.columns, key, first, last, state)
             metrics = {name: float(value) for name, value in jax.device_get(reduced).items()}
             took = time.perf_counter() - began
             _add(seconds, "train", took)
@@ -143,11 +179,11 @@ class SeedTraining:
                 self._warn(warning)
             lost = not all(map(math.isfinite, metrics.values())) and not loop.is_finite(state)
             stopped = lost or (bool(diverged) and self.stops_on_divergence)
-            last = self.step >= self.steps
-            if self.evaluate is not None and not lost and (last or self.step % self.evaluate.every == 0):
+            at_end = self.step >= self.steps
+            if self.evaluate is not None and not lost and (at_end or self.step % self.evaluate.every == 0):
                 self._measure(state, self.evaluate, loggers)
-            if stopped or last or self.step % self.checkpoint_every == 0:
-                record.status = "diverged" if stopped else "finished" if last else "running"
+            if stopped or at_end or self.step % self.checkpoint_every == 0:
+                record.status = "diverged" if stopped else "finished" if at_end else "running"
                 lines.sync()
                 self._save(state)
             self.progress.advance(self.step)
