@@ -139,5 +139,8 @@ def test_every_learner_takes_its_task_then_the_common_networks_then_its_changes(
     assert presets.load("edac").hidden_sizes != (256, 256)
     edac = [locomotion_study.learner(StudyRun("edac", task, 0, 1)) for task in ("hopper-medium", "halfcheetah-medium")]
     assert [learner.num_critics for learner in edac] == [50, 10]
+    assert [
+        locomotion_study.learner(run).num_critics for run in locomotion_study.plan()[1] if run.preset == "edac"
+    ] == [10, 10]
     default = locomotion_study.learner(locomotion_study.plan()[0][1])
     assert (default.reward_scale, default.warm_start, default.return_steps) == ("auto", "returns", 5)
