@@ -1,5 +1,6 @@
 """Attacks whose worst offset is known by hand, and what holds for all of them."""
 
+import dataclasses
 import functools
 
 import jax
@@ -21,7 +22,7 @@ from odaf.data.normalisation import Normaliser
 from odaf.data.spec import Spec
 from odaf.errors import ConfigError
 from odaf.evaluation import attacks
-from odaf.evaluation.attacks import ATTACKS, AttackedPolicy, Victim, climb, harm_of, symmetric_kl, worst_offsets
+from odaf.evaluation.attacks import ATTACKS, AttackedPolicy, Judge, Victim, climb, harm_of, symmetric_kl, worst_offsets
 from odaf.training.policy import Policy
 
 OBS, ACT, ROWS = 3, 2, 4
@@ -35,18 +36,22 @@ def _network(*layers: np.ndarray, bias: float = 0.0) -> MLP:
     return MLP(weights, biases, (), (), "silu")
 
 
-def _linear_victim(slopes=(0.3, -0.2, 0.9), critics=(1.0, 2.0)) -> Victim:
+def _knowledge(actor, critics) -> tuple[Victim, Judge]:
+    return Victim(actor, MEAN, STD + 1e-3), Judge(critics, MEAN, STD + 1e-3)
+
+
+def _linear_victim(slopes=(0.3, -0.2, 0.9), critics=(1.0, 2.0)) -> tuple[Victim, Judge]:
     """mean(s) = slopes . s in one action dimension, log std 0; Q_k(s, a) = critics[k] * a."""
     actor = GaussianActor(_network(np.stack([slopes, np.zeros(OBS)], axis=1)))
     members = np.stack([np.array([[0.0]] * OBS + [[slope]]) for slope in critics])
-    return Victim(actor, CriticEnsemble(_network(members)), MEAN, STD + 1e-3)
+    return _knowledge(actor, CriticEnsemble(_network(members)))
 
 
-def _smooth_victim(seed=0) -> Victim:
+def _smooth_victim(seed=0) -> tuple[Victim, Judge]:
     rng = np.random.default_rng(seed)
     actor = GaussianActor(_network(rng.normal(size=(OBS, 8)), rng.normal(size=(8, 2 * ACT)) / 3, bias=0.1))
     critics = CriticEnsemble(_network(rng.normal(size=(3, OBS + ACT, 8)), rng.normal(size=(3, 8, 1)), bias=0.1))
-    return Victim(actor, critics, MEAN, STD + 1e-3)
+    return _knowledge(actor, critics)
 
 
 def _observations(seed=5) -> jax.Array:
@@ -56,6 +61,8 @@ def _observations(seed=5) -> jax.Array:
 
 @functools.partial(jax.jit, static_argnums=(0, 1))
 def _compiled(name, rule, victim, observations, budget, key):
+    if victim is not None and not ATTACKS[name].asks_critics:
+        victim = (victim[0], None)
     return worst_offsets(ATTACKS[name], rule, victim, observations, STD, budget, key)
 
 
@@ -64,7 +71,8 @@ def _worst(name, victim, observations, budget=0.1, rule="pgd", key=0) -> np.ndar
 
 
 def _harm(objective, victim, observations, offsets) -> np.ndarray:
-    return np.asarray(harm_of(objective, victim, observations)(jnp.asarray(offsets)[None]))[0]
+    knowledge = (victim[0], None if objective == "action-diff" else victim[1])
+    return np.asarray(harm_of(objective, knowledge, observations)(jnp.asarray(offsets)[None]))[0]
 
 
 # ---- objectives ----------------------------------------------------------------------------------------------------
@@ -89,10 +97,10 @@ def test_objectives_against_numpy(objective):
     clean = (np.asarray(observations, np.float64) - mean) / scale
     seen = (np.asarray(observations, np.float64) + offsets - mean) / scale
     if objective == "action-diff":
-        (m, s), (n, t) = golden.gaussian_log(victim.actor, clean), golden.gaussian_log(victim.actor, seen)
+        (m, s), (n, t) = golden.gaussian_log(victim[0].actor, clean), golden.gaussian_log(victim[0].actor, seen)
         expected = [golden.symmetric_kl(m[row], s[row], n[row], t[row]) for row in range(ROWS)]
     else:
-        values = q_values(victim.critics, clean, mode(victim.actor, seen))  # the critics are told the truth
+        values = q_values(victim[1].critics, clean, mode(victim[0].actor, seen))  # the critics are told the truth
         expected = -values.mean(axis=0) if objective == "min-q" else spread(values, 0)
     np.testing.assert_allclose(_harm(objective, victim, observations, offsets), expected, rtol=2e-3, atol=1e-4)
 
@@ -118,7 +126,7 @@ def test_disagreement_is_climbed_away_from_where_members_agree():
     victim = _linear_victim()
     observations = jnp.asarray([[3.0, -2.0, 3.0], [-3.0, -2.0, 3.0]])
     found = _worst("min-q-std-first-order", victim, observations)
-    clean = np.asarray(victim.gaussian(observations)[0])[:, 0]
+    clean = np.asarray(victim[0].gaussian(observations)[0])[:, 0]
     np.testing.assert_allclose(found, np.sign(clean)[:, None] * np.array([[0.05, -0.2, 0.0]]), rtol=1e-6)
 
 
@@ -147,7 +155,7 @@ def test_sampled_min_q_leaves_a_state_alone_that_is_worst_already():
     # With slopes 1 and -1 into the hidden layer Q = silu(a) + silu(-a), which is smallest at a = 0, the clean action.
     members = np.stack([np.array([[0.0, 0.0]] * OBS + [[1.0, -1.0]])] * 2)
     critics = CriticEnsemble(_network(members, np.ones((2, 2, 1))))
-    victim = Victim(_linear_victim().actor, critics, MEAN, STD + 1e-3)
+    victim = _knowledge(_linear_victim()[0].actor, critics)
     found = _worst("min-q", victim, jnp.tile(MEAN[None], (ROWS, 1)))
     np.testing.assert_array_equal(found, np.zeros((ROWS, OBS)))
 
@@ -261,8 +269,8 @@ def test_one_compilation_serves_all_budgets_steps_and_keys(policy, monkeypatch):
 def test_the_deployed_actor_is_the_one_attacked():
     learner = EnsembleSAC(num_critics=2, hidden_sizes=(4,), deployed_actor="slow")
     policy = _policy(learner)
-    victim = attacks.victim_of(policy, ATTACKS["min-q"])
-    assert victim is not None and victim.actor is policy.state.slow_actor
+    known = attacks.knowledge_of(policy, ATTACKS["min-q"])
+    assert known is not None and known[0].actor is policy.state.slow_actor
 
 
 def test_a_learner_without_critics_is_refused_with_the_attacks_that_work():
@@ -271,5 +279,51 @@ def test_a_learner_without_critics_is_refused_with_the_attacks_that_work():
         if name == "random":
             AttackedPolicy(cloned, attack, 0.1, jr.key(0))(np.asarray(_observations()))
             continue
-        with pytest.raises(ConfigError, match=f"'{name}'.*'behaviour-cloning' has none.*: random$"):
+        lacks = "'behaviour-cloning' has none.*attacker" if attack.asks_critics else "'behaviour-cloning' is.*min-q"
+        with pytest.raises(ConfigError, match=f"'{name}'.*{lacks}.*at random$"):
             AttackedPolicy(cloned, attack, 0.1, jr.key(0))
+
+
+# ---- attackers with critics of their own ---------------------------------------------------------------------------
+
+
+def test_foreign_critics_see_the_truth_in_their_own_scale():
+    """They are asked Q(s, mu(s + delta)): the victim's normaliser shapes the action, the attacker's the state."""
+    cloned, critics = (
+        _policy(BehaviourCloning(hidden_sizes=(4,))),
+        _policy(EnsembleSAC(num_critics=3, hidden_sizes=(4,))),
+    )
+    critics = dataclasses.replace(critics, normaliser=Normaliser(np.array([0.5, 0.5, -1.0]), np.array([3.0, 1.0, 2.0])))
+    known = attacks.knowledge_of(cloned, ATTACKS["min-q"], critics)
+    assert known is not None
+    observations, offsets = np.asarray(_observations()), np.full((ROWS, OBS), 0.2, np.float32)
+
+    def scaled(normaliser, states):
+        return (states.astype(np.float64) - normaliser.mean) / normaliser.scale
+
+    actor = cloned.state.actor
+    action = np.asarray(actor.mode(jnp.asarray(scaled(cloned.normaliser, observations + offsets), jnp.float32)))
+    values = q_values(critics.state.critics, scaled(critics.normaliser, observations), action)
+    found = _harm("min-q", known, jnp.asarray(observations), offsets)
+    np.testing.assert_allclose(found, -values.mean(axis=0), rtol=2e-3, atol=1e-5)
+
+
+def test_any_learner_can_be_attacked_with_foreign_critics(policy):
+    observations = np.asarray(_observations())
+    cloned = _policy(BehaviourCloning(hidden_sizes=(4,)))
+    for name in ("min-q", "min-q-std-first-order"):
+        shown = AttackedPolicy(cloned, ATTACKS[name], 0.3, jr.key(0), attacker=policy).shown(observations)
+        assert (shown != observations).any()
+    own = AttackedPolicy(policy, ATTACKS["min-q"], 0.3, jr.key(0))
+    same = AttackedPolicy(policy, ATTACKS["min-q"], 0.3, jr.key(0), attacker=policy)
+    np.testing.assert_array_equal(own.shown(observations), same.shown(observations))
+
+
+def test_an_attacker_that_cannot_help_is_refused(policy):
+    with pytest.raises(ConfigError, match="attacker: attack 'random' asks no critics; .*min-q, min-q-std"):
+        attacks.knowledge_of(policy, ATTACKS["random"], policy)
+    with pytest.raises(ConfigError, match="attacker for the attack 'min-q': .*'behaviour-cloning' has none"):
+        attacks.knowledge_of(policy, ATTACKS["min-q"], _policy(BehaviourCloning(hidden_sizes=(4,))))
+    other = dataclasses.replace(policy, spec=dataclasses.replace(policy.spec, action_high=(1.0, 4.0)))
+    with pytest.raises(ConfigError, match=r"attacker: its data have action_high \(1.0, 4.0\).*\(1.0, 5.0\)"):
+        attacks.knowledge_of(policy, ATTACKS["min-q"], other)

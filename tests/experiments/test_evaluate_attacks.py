@@ -90,9 +90,14 @@ def test_what_is_refused(run_directory, attack, budgets, message):
         attack_curve(run_directory, attack, budgets=budgets)
 
 
-def test_behaviour_cloning_can_only_be_attacked_at_random(tmp_path):
+def test_behaviour_cloning_is_attacked_at_random_or_with_the_critics_of_another_run(run_directory, tmp_path):
     run = untrained_run(tmp_path / "run", BehaviourCloning(hidden_sizes=(4,)), dataset_of(4, 2, ENVIRONMENT), (0,))
-    with pytest.raises(ConfigError, match="'behaviour-cloning' has none"):
+    with pytest.raises(ConfigError, match="'behaviour-cloning' is deterministic"):
         attack_curve(run, "action-diff", episodes=1)
+    with pytest.raises(ConfigError, match="'behaviour-cloning' has none.*--attacker"):
+        attack_curve(run, "min-q", episodes=1)
     curve = attack_curve(run, "random", budgets=(0.5,), episodes=1)
-    assert curve.area() is None and np.isnan(curve.returns[0].low)
+    assert curve.area() is None and np.isnan(curve.returns[0].low) and curve.attacker is None
+    judged = attack_curve(run, "min-q", budgets=(0.5,), episodes=1, attacker=run_directory)
+    assert judged.to_dict()["attacker"] == str(run_directory)
+    assert judged.scores != curve.scores

@@ -26,7 +26,10 @@ Attack = Literal[
 Level = Literal["none", "slight", "moderate", "large", "extra-large"]
 
 _EPISODES, _ATTACKED_EPISODES = 50, 10
-_ATTACK_ONLY, _KNOCK_ONLY = ("eps", "attack_steps", "plot"), ("knock_steps", "knock_at", "knock_action", "data")
+_ATTACK_ONLY, _KNOCK_ONLY = (
+    ("eps", "attack_steps", "attacker", "plot"),
+    ("knock_steps", "knock_at", "knock_action", "data"),
+)
 
 
 @dataclass(frozen=True)
@@ -52,6 +55,9 @@ class EvaluateOptions:
     """Largest offsets of an attack, in standard deviations of the log; without it 0 0.05 0.1 0.15 0.2 0.25 0.3."""
     attack_steps: Annotated[Literal["pgd", "rorl"] | None, tyro.conf.arg(metavar="RULE")] = None
     """Gradient steps of an attack: `pgd`, scaled to the box, or `rorl`, those of the published code; without it pgd."""
+    attacker: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
+    """Run whose critics the attacks `min-q` and `min-q-std` ask, so that all policies are judged alike and one without
+    critics can be attacked; without it, each policy's own critics."""
     plot: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """SVG or PNG file to draw the return under attack in."""
     knock: Annotated[Level | None, tyro.conf.arg(metavar="LEVEL")] = None
@@ -131,6 +137,7 @@ def _under_attack(options: EvaluateOptions) -> None:
         options.attack,
         budgets=BUDGETS if options.eps is None else options.eps,
         rule=options.attack_steps or "pgd",
+        attacker=options.attacker,
         **_where(options, _ATTACKED_EPISODES),
     )
     print(attack_table(curve))

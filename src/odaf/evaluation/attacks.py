@@ -10,7 +10,8 @@ candidates in this box, climbs from each of them along the gradient for some ste
     min-q-std     largest  std_k  Q_k(s, mu(s + delta))
 
 By sampling: the best of 50 draws, for the two that ask the critics also of delta = 0. First order: 1 draw and 10 steps.
-Mixed order: the best of 20 draws with 10 steps each. The critics are those of the attacked learner itself.
+Mixed order: the best of 20 draws with 10 steps each. The critics are those of the attacked learner itself, or those of
+another learner of the same task: so learners without critics are attacked, and all can be judged alike.
 
 Source: Yang et al. 2022 (RORL) and its code, which attacks one observation at a time; here every row has its own
 draws. A constant factor of the code's objectives is left out; it moves neither the best candidate nor a step.
@@ -30,7 +31,7 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 from odaf.algorithms.ensemble_sac import EnsembleSAC
 from odaf.components.critics import CriticEnsemble, disagreement
 from odaf.components.perturbations import draw_offsets
-from odaf.components.policies import GaussianActor
+from odaf.components.policies import DeterministicActor, GaussianActor
 from odaf.errors import ConfigError
 from odaf.training.policy import Policy
 
@@ -59,6 +60,11 @@ class Attack:
     steps: int
     with_clean: bool = False
 
+    @property
+    def asks_critics(self) -> bool:
+        """Whether the objective is a matter of values."""
+        return self.objective in ("min-q", "min-q-std")
+
 
 ATTACKS = {
     attack.name: attack
@@ -77,11 +83,24 @@ ATTACKS = {
 }
 
 
-class Victim(eqx.Module):
-    """What an attacker knows: the deployed actor, the critics, and the learner's scale of observations."""
+class Judge(eqx.Module):
+    """The critics that an attack asks, and their learner's scale of observations."""
 
-    actor: GaussianActor
     critics: CriticEnsemble
+    mean: Float[Array, " obs_dim"]
+    scale: Float[Array, " obs_dim"]
+
+    def values(
+        self, observations: Float[Array, "rows obs_dim"], actions: Float[Array, "rows act_dim"]
+    ) -> Float[Array, "critics rows"]:
+        """Q_k(s, a) for observations in the user's units and actions in [-1, 1]."""
+        return self.critics.as_constants((observations - self.mean[None, :]) / self.scale[None, :], actions)
+
+
+class Victim(eqx.Module):
+    """What an attacker knows of a policy: the deployed actor and its learner's scale of observations."""
+
+    actor: GaussianActor | DeterministicActor
     mean: Float[Array, " obs_dim"]
     scale: Float[Array, " obs_dim"]
 
@@ -89,36 +108,73 @@ class Victim(eqx.Module):
         self, observations: Float[Array, "rows obs_dim"]
     ) -> tuple[Float[Array, "rows act_dim"], Float[Array, "rows act_dim"]]:
         """Mean and log standard deviation before the tanh, for observations in the user's units."""
+        assert isinstance(self.actor, GaussianActor)
         return self.actor.parameters(self._normalised(observations))
 
-    def values(
-        self, observations: Float[Array, "rows obs_dim"], actions: Float[Array, "rows act_dim"]
-    ) -> Float[Array, "critics rows"]:
-        """Q_k(s, a) for observations in the user's units and actions in [-1, 1]."""
-        return self.critics.as_constants(self._normalised(observations), actions)
+    def mode(self, observations: Float[Array, "rows obs_dim"]) -> Float[Array, "rows act_dim"]:
+        """mu(s), the deterministic action in [-1, 1], for observations in the user's units."""
+        return self.actor.mode(self._normalised(observations))
 
     def _normalised(self, observations: Float[Array, "rows obs_dim"]) -> Float[Array, "rows obs_dim"]:
         return (observations - self.mean[None, :]) / self.scale[None, :]
 
 
-def victim_of(policy: Policy, attack: Attack) -> Victim | None:
-    """What the attack needs to know of a policy; None for an attack without an objective.
+Knowledge = tuple[Victim, Judge | None]  # who is harmed, and whom the objective asks
+
+
+def knowledge_of(policy: Policy, attack: Attack, attacker: Policy | None = None) -> Knowledge | None:
+    """What the attack needs to know; None for an attack without an objective.
+
+    Args:
+        policy: whom to harm.
+        attack: how.
+        attacker: whose critics are asked; None asks those of the policy's own learner.
 
     Raises:
-        ConfigError: the learner has no Gaussian policy with an ensemble of critics, which the objective asks for.
+        ConfigError: the objective asks for a Gaussian policy or for critics that are not there, the attacker belongs to
+            another task, or the attack has no use for one.
     """
+    if attacker is not None and not attack.asks_critics:
+        users = ", ".join(name for name, other in ATTACKS.items() if other.asks_critics)
+        raise ConfigError(f"attacker: attack '{attack.name}' asks no critics; leave it out, or choose one of {users}")
     if attack.objective is None:
         return None
-    learner = policy.algorithm
-    if not isinstance(learner, EnsembleSAC):
-        free = ", ".join(name for name, other in ATTACKS.items() if other.objective is None)
-        raise ConfigError(
-            f"attack '{attack.name}': needs a Gaussian policy and an ensemble of critics, and the learner "
-            f"'{learner.kind}' has none; attacks that work on every policy: {free}"
-        )
-    actor = policy.state.actor if learner.deployed_actor == "current" else policy.state.slow_actor
     normaliser = policy.normaliser
-    return Victim(actor, policy.state.critics, jnp.asarray(normaliser.mean), jnp.asarray(normaliser.scale))
+    victim = Victim(_actor_of(policy, attack), jnp.asarray(normaliser.mean), jnp.asarray(normaliser.scale))
+    if not attack.asks_critics:
+        return victim, None
+    if attacker is not None:
+        _check_same_task(policy, attacker)
+    judge = policy if attacker is None else attacker
+    if not isinstance(judge.algorithm, EnsembleSAC):
+        role = "attack" if attacker is None else "attacker for the attack"
+        raise ConfigError(
+            f"{role} '{attack.name}': needs an ensemble of critics, and the learner '{judge.algorithm.kind}' has none; "
+            "name a run that has one as the attacker (--attacker DIR), or attack at random"
+        )
+    normaliser = judge.normaliser
+    return victim, Judge(judge.state.critics, jnp.asarray(normaliser.mean), jnp.asarray(normaliser.scale))
+
+
+def _actor_of(policy: Policy, attack: Attack) -> GaussianActor | DeterministicActor:
+    learner, state = policy.algorithm, policy.state
+    actor = state.slow_actor if getattr(learner, "deployed_actor", "current") == "slow" else state.actor
+    if attack.objective == "action-diff" and not isinstance(actor, GaussianActor):
+        raise ConfigError(
+            f"attack '{attack.name}': needs a Gaussian policy, and that of the learner '{learner.kind}' is "
+            "deterministic; attack it by min-q with the critics of another run (--attacker DIR), or at random"
+        )
+    return actor
+
+
+def _check_same_task(policy: Policy, attacker: Policy) -> None:
+    for field in ("obs_dim", "act_dim", "action_low", "action_high"):
+        ours, theirs = getattr(policy.spec, field), getattr(attacker.spec, field)
+        if ours != theirs:
+            raise ConfigError(
+                f"attacker: its data have {field} {theirs}, those of the attacked policy {ours}; "
+                "take a run on the same task"
+            )
 
 
 def symmetric_kl(
@@ -135,18 +191,17 @@ def symmetric_kl(
     return jnp.sum(there + back - 1.0, axis=-1)
 
 
-def harm_of(objective: str, victim: Victim, observations: Float[Array, "rows obs_dim"]) -> Harm:
+def harm_of(objective: str, knowledge: Knowledge, observations: Float[Array, "rows obs_dim"]) -> Harm:
     """The objective of an attack at these observations: larger is worse for the policy. Rows do not interact."""
-    clean_mean, clean_log_std = victim.gaussian(observations)
+    victim, judge = knowledge
 
     def harm(offsets: Float[Array, "draws rows obs_dim"]) -> Float[Array, "draws rows"]:
         draws, rows, obs_dim = offsets.shape
         seen = (observations[None] + offsets).reshape(draws * rows, obs_dim)
-        mean, log_std = victim.gaussian(seen)
-        if objective == "action-diff":
-            clean = (jnp.tile(clean_mean, (draws, 1)), jnp.tile(clean_log_std, (draws, 1)))
-            return symmetric_kl(*clean, mean, log_std).reshape(draws, rows)
-        values = victim.values(jnp.tile(observations, (draws, 1)), jnp.tanh(mean))
+        if judge is None:
+            mean, log_std = (jnp.tile(parameter, (draws, 1)) for parameter in victim.gaussian(observations))
+            return symmetric_kl(mean, log_std, *victim.gaussian(seen)).reshape(draws, rows)
+        values = judge.values(jnp.tile(observations, (draws, 1)), victim.mode(seen))
         found = -jnp.mean(values, axis=0) if objective == "min-q" else disagreement(values)
         return found.reshape(draws, rows)
 
@@ -189,7 +244,7 @@ def climb(
 def worst_offsets(
     attack: Attack,
     rule: StepRule,
-    victim: Victim | None,
+    knowledge: Knowledge | None,
     observations: Float[Array, "rows obs_dim"],
     std: Float[Array, " obs_dim"],
     budget: Float[Array, ""],
@@ -200,7 +255,7 @@ def worst_offsets(
     Args:
         attack: how to look for it.
         rule: gradient steps of attacks that take any; see `climb`.
-        victim: whom to harm; None only for an attack without an objective.
+        knowledge: whom to harm and whom to ask; None only for an attack without an objective.
         observations: true observations in the user's units.
         std: standard deviation of each dimension of the logged observations.
         budget: size of the box in standard deviations.
@@ -211,9 +266,9 @@ def worst_offsets(
     candidates = attack.draws + int(attack.with_clean)
     unit = draw_offsets(key, candidates, rows, obs_dim, 1.0, shared=False, include_centre=attack.with_clean)
     offsets = unit * box[None, None, :]
-    if attack.objective is None or victim is None:
+    if attack.objective is None or knowledge is None:
         return offsets[0]
-    harm = harm_of(attack.objective, victim, observations)
+    harm = harm_of(attack.objective, knowledge, observations)
     if attack.steps:
         offsets = climb(harm, offsets, box, budget, attack.steps, rule)
     if candidates == 1:
@@ -229,11 +284,19 @@ class AttackedPolicy:
     compiled once for all calls, budgets and seeds of a learner with equally many rows.
     """
 
-    def __init__(self, policy: Policy, attack: Attack, budget: float, key: PRNGKeyArray, rule: StepRule = "pgd"):
+    def __init__(
+        self,
+        policy: Policy,
+        attack: Attack,
+        budget: float,
+        key: PRNGKeyArray,
+        rule: StepRule = "pgd",
+        attacker: Policy | None = None,
+    ):
         self.policy = policy
         self._attack, self._key, self._calls = attack, key, 0
         self._rule: StepRule = rule
-        self._victim = victim_of(policy, attack)
+        self._knowledge = knowledge_of(policy, attack, attacker)
         self._std, self._budget = jnp.asarray(policy.normaliser.std), jnp.asarray(budget, jnp.float32)
 
     def __call__(self, observations: np.ndarray) -> np.ndarray:
@@ -245,7 +308,7 @@ class AttackedPolicy:
         true, calls = jnp.asarray(observations, jnp.float32), jnp.asarray(self._calls)
         self._calls += 1
         return np.asarray(
-            _shown(self._attack, self._rule, self._victim, true, self._std, self._budget, self._key, calls)
+            _shown(self._attack, self._rule, self._knowledge, true, self._std, self._budget, self._key, calls)
         )
 
 
@@ -253,11 +316,11 @@ class AttackedPolicy:
 def _shown(
     attack: Attack,
     rule: StepRule,
-    victim: Victim | None,
+    knowledge: Knowledge | None,
     observations: Float[Array, "rows obs_dim"],
     std: Float[Array, " obs_dim"],
     budget: Float[Array, ""],
     key: PRNGKeyArray,
     calls: Int[Array, ""],
 ) -> Float[Array, "rows obs_dim"]:
-    return observations + worst_offsets(attack, rule, victim, observations, std, budget, jr.fold_in(key, calls))
+    return observations + worst_offsets(attack, rule, knowledge, observations, std, budget, jr.fold_in(key, calls))

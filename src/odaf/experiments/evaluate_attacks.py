@@ -5,6 +5,7 @@ import os
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import jax.random as jr
@@ -12,12 +13,14 @@ import numpy as np
 
 from odaf.environments.registry import make
 from odaf.errors import ConfigError
-from odaf.evaluation.attacks import ATTACKS, AttackedPolicy, StepRule, victim_of
+from odaf.evaluation.attacks import ATTACKS, AttackedPolicy, StepRule, knowledge_of
 from odaf.evaluation.reference_returns import reference_of
 from odaf.evaluation.rollouts import rollout_in
 from odaf.evaluation.scores import Scores
 from odaf.evaluation.statistics import Estimate, t_interval
 from odaf.experiments.evaluate import Trial
+from odaf.training.policy import Policy
+from odaf.training.run_directory import RunDirectory
 
 BUDGETS = (0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3)
 
@@ -33,6 +36,7 @@ class AttackCurve:
         scores: one for each budget, over the same seeds and starts.
         environment_steps: played in all.
         seconds: that this took, compilation included.
+        attacker: the run whose critics were asked; None where each policy's own were, or none.
     """
 
     attack: str
@@ -41,6 +45,7 @@ class AttackCurve:
     scores: tuple[Scores, ...]
     environment_steps: int
     seconds: float
+    attacker: str | None = None
 
     @property
     def environment(self) -> str | None:
@@ -86,6 +91,7 @@ class AttackCurve:
         return {
             "attack": self.attack,
             "attack_steps": self.rule,
+            "attacker": self.attacker,
             "budgets": entries,
             **{name: _plain(area) for name, area in areas.items() if area is not None},
             "environment_steps": self.environment_steps,
@@ -103,6 +109,7 @@ def attack_curve(
     seed: int = 0,
     step: int | None = None,
     environment: str | None = None,
+    attacker: str | os.PathLike[str] | None = None,
 ) -> AttackCurve:
     """Play episodes with every seed of a run at every budget; nothing in its directory changes.
 
@@ -118,11 +125,13 @@ def attack_curve(
         seed: chooses the starts and the draws.
         step: the checkpoint after so many updates; None takes each seed's last.
         environment: a gymnasium id; None takes the run's own.
+        attacker: directory of the run whose critics are asked, at the last checkpoint of its first seed; None asks each
+            policy's own.
 
     Raises:
         CheckpointError: as `odaf.evaluate`.
-        ConfigError: as `odaf.evaluate`; or there is no such attack, it does not work on this learner, or a budget is
-            negative, given twice or no number.
+        ConfigError: as `odaf.evaluate`; or there is no such attack, it does not work on this learner or with this
+            attacker, or a budget is negative, given twice or no number.
     """
     if attack not in ATTACKS:
         raise ConfigError(f"attack '{attack}' is not known; known are {', '.join(ATTACKS)}")
@@ -134,8 +143,9 @@ def attack_curve(
         raise ConfigError(f"eps: {list(budgets)} holds a budget twice; give each once")
     trial = Trial.of(directory, episodes=episodes, seed=seed, step=step, environment=environment)
     policies = dict(trial.policies())
+    judge = None if attacker is None else _first_policy(attacker)
     for policy in policies.values():
-        victim_of(policy, chosen)  # refused before any environment is built
+        knowledge_of(policy, chosen, judge)  # refused before any environment is built
     make_env, limit = make(trial.environment), trial.rollouts.max_steps
     environments = [make_env() for _ in range(episodes)]
     played, scores, began = 0, [], time.perf_counter()
@@ -144,14 +154,20 @@ def attack_curve(
             found = {}
             for policy_seed, policy in policies.items():
                 # An empty box leaves nothing to look for; an attack on it gives the same bits.
-                shown = AttackedPolicy(policy, chosen, budget, jr.key(seed), rule) if budget else policy
+                shown = AttackedPolicy(policy, chosen, budget, jr.key(seed), rule, judge) if budget else policy
                 found[policy_seed] = rollout_in(shown, environments, seed, limit)
             played += sum(int(episodes.lengths.sum()) for episodes in found.values())
             scores.append(trial.scores(found))
     finally:
         for environment_ in environments:
             environment_.close()
-    return AttackCurve(attack, rule, ascending, tuple(scores), played, time.perf_counter() - began)
+    asked = None if attacker is None else str(attacker)
+    return AttackCurve(attack, rule, ascending, tuple(scores), played, time.perf_counter() - began, asked)
+
+
+def _first_policy(directory: str | os.PathLike[str]) -> Policy:
+    run = RunDirectory(Path(directory))
+    return run.policy(run.seeds[0])
 
 
 def _plain(estimate: Estimate) -> dict[str, Any]:
