@@ -83,20 +83,23 @@ def test_the_gain_is_paired_by_seed() -> None:
 
 
 def test_hopper_has_a_table_of_its_own_in_normalised_scores() -> None:
-    def score_of(weight: float, score: float) -> dict[str, Any]:
-        record = record_of(4, weight, 0, 1000.0)
+    def score_of(weight: float, score: float, seed: int = 0) -> dict[str, Any]:
+        record = record_of(4, weight, seed, 1000.0)
         record["data"] |= {"normalised_score": 44.0}
         record["final"]["normalised_score"] = score
         del record["maze"]
         return record | {"task": "hopper-medium", "environment": "Hopper-v4"}
 
     maze = record_of(4, 0.0, 0, 9.0)
-    text = outcome_study.table([maze, score_of(20.0, 70.0), score_of(0.0, 60.0)])
+    fresh = [score_of(0.0, 50.0, seed=3), score_of(20.0, 55.0, seed=3)]
+    text = outcome_study.table([maze, score_of(20.0, 70.0), score_of(0.0, 60.0), *fresh])
     rows = [line for line in text.splitlines() if line.startswith("| 4 ")]
     assert rows == [
         "| 4 | 0 | 20,000 | 1 | 9.0 | one seed | 9.0 | 0.50 | | | |",
         "| 4 | 0 | 20,000 | 1 | 60.0 | one seed | 60.0 | | | |",
         "| 4 | 20 | 20,000 | 1 | 70.0 | one seed | 70.0 | +10.0 | one seed | 1 |",
+        "| 4 | 0 | 20,000 | 1 | 50.0 | one seed | 50.0 | | | |",
+        "| 4 | 20 | 20,000 | 1 | 55.0 | one seed | 55.0 | +5.0 | one seed | 1 |",
     ]
     assert "mean score 44.0" in text and "Hopper-v4" in text
 
@@ -105,11 +108,12 @@ def test_a_partial_run_answers_for_the_smallest_ensemble_first() -> None:
     phases = outcome_study.plan()
     asked = [({run.task for run in phase}, {dict(run.changes)["num_critics"] for run in phase}) for phase in phases]
     maze, hopper = {"stitch"}, {"hopper-medium"}
-    assert asked == [(maze, {2}), (maze, {4}), (maze, {10}), (hopper, {4}), (hopper, {10})]
-    for phase in phases:
-        weights = (0.0, 0.3, 3.0) if phase[0].task == "stitch" else (0.0, 1.0, 20.0)
+    assert asked == [(maze, {2}), (maze, {4}), (maze, {10}), (hopper, {4}), (hopper, {4}), (hopper, {10})]
+    for number, phase in enumerate(phases, start=1):
+        weights = (0.0, 0.3, 3.0) if phase[0].task == "stitch" else (0.0, 1.0) if number == 5 else (0.0, 1.0, 20.0)
         pairs = [(run.seed, dict(run.changes)["outcome.weight"]) for run in phase]
-        assert pairs == [(seed, weight) for seed in range(3) for weight in weights]
+        seeds = range(3, 8) if number == 5 else range(3)
+        assert pairs == [(seed, weight) for seed in seeds for weight in weights]
         assert {run.steps for run in phase} == {20_000}
     runs = [run for phase in phases for run in phase]
-    assert len({run.title for run in runs}) == len(runs) == 27 + 18
+    assert len({run.title for run in runs}) == len(runs) == 27 + 18 + 10
