@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import jax.random as jr
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
@@ -20,11 +19,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from benchmarks import learners
 from benchmarks.machine import machine, write_figures
 from odaf.experiments.workers import cores, run_jobs
-from odaf.training.loop import settled, stacked, train_stretch, train_stretch_many, training_key
-
-
-def _number(value: int) -> jax.Array:
-    return jnp.asarray(value, dtype=jnp.int32)
+from odaf.training.loop import settled, stacked, train_stretch, train_stretch_many, training_key, update_number
 
 
 def alone(job: tuple[str, int, int, float]) -> float:
@@ -32,12 +27,12 @@ def alone(job: tuple[str, int, int, float]) -> float:
     name, seed, updates, start = job
     algorithm, rows = learners.load(name), learners.columns()
     state = settled(learners.state_of(algorithm))
-    state, _ = train_stretch(algorithm, rows, training_key(seed), _number(0), _number(2), state)
+    state, _ = train_stretch(algorithm, rows, training_key(seed), update_number(0), update_number(2), state)
     jax.block_until_ready(state)
     while time.time() < start:
         time.sleep(0.01)
     before = time.perf_counter()
-    state, _ = train_stretch(algorithm, rows, training_key(seed), _number(2), _number(2 + updates), state)
+    state, _ = train_stretch(algorithm, rows, training_key(seed), update_number(2), update_number(2 + updates), state)
     jax.block_until_ready(state)
     return updates / (time.perf_counter() - before)
 
@@ -53,10 +48,10 @@ def in_one_call(name: str, seeds: int, updates: int) -> float:
     algorithm, rows = learners.load(name), learners.columns()
     states: Any = stacked([settled(learners.state_of(algorithm)) for _ in range(seeds)])
     keys = jr.split(jr.key(0), seeds)
-    states, _ = train_stretch_many(algorithm, rows, keys, _number(0), _number(2), states)
+    states, _ = train_stretch_many(algorithm, rows, keys, update_number(0), update_number(2), states)
     jax.block_until_ready(states)
     before = time.perf_counter()
-    states, _ = train_stretch_many(algorithm, rows, keys, _number(2), _number(2 + updates), states)
+    states, _ = train_stretch_many(algorithm, rows, keys, update_number(2), update_number(2 + updates), states)
     jax.block_until_ready(states)
     return seeds * updates / (time.perf_counter() - before)
 

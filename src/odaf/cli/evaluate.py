@@ -141,6 +141,8 @@ def _under_attack(options: EvaluateOptions) -> None:
         **_where(options, _ATTACKED_EPISODES),
     )
     print(attack_table(curve))
+    if curve.attacker is not None:
+        print(f"\nJudged by the critics of {curve.attacker}.")
     print(f"\n{curve.environment_steps / curve.seconds:,.0f} environment steps/s, compilation included")
     if options.json is not None:
         write_json(options.json, curve.to_dict())

@@ -282,6 +282,17 @@ class AttackedPolicy:
 
     Every call is the next step of all episodes and has draws of its own, so one object plays one rollout. The attack is
     compiled once for all calls, budgets and seeds of a learner with equally many rows.
+
+    Args:
+        policy: whom to harm.
+        attack: how, one of `ATTACKS`.
+        budget: size of the box in standard deviations of the logged observations.
+        key: random key of the draws.
+        rule: gradient steps of attacks that take any; see `climb`.
+        attacker: a policy on the same task whose learner's critics are asked; None asks those of the policy's own.
+
+    Raises:
+        ConfigError: as `knowledge_of`.
     """
 
     def __init__(

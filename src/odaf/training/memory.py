@@ -7,8 +7,8 @@ import sys
 def give_back_freed_memory() -> None:
     """Returns freed memory to the system; does nothing where the C library is not glibc.
 
-    glibc keeps what was freed in many small pieces. After a large program was compiled that is half of the process, and
-    what is allocated next grows it further (docs/speed.md has the measured difference).
+    glibc keeps what was freed in many small pieces: after a large program was compiled, much of the process. What is
+    allocated next would make it grow further. `benchmarks/first_update.py` measures the peak.
     """
     if not sys.platform.startswith("linux"):
         return
