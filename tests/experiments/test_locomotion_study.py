@@ -85,11 +85,19 @@ def test_a_stopped_run_goes_on_and_a_finished_one_is_not_repeated(
 
 
 def record_of(
-    method: str, seed: int, score: float | None, steps: int = 50_000, updates: int = 50_000
+    method: str,
+    seed: int,
+    score: float | None,
+    updates: int = 50_000,
+    fingerprint: str = "ab" * 32,
+    mean_return: float = 1434.0,
 ) -> dict[str, Any]:
-    data = {"sha256": "ab" * 32, "whole_episodes": 9, "mean_return": 1434.0, "normalised_score": 44.7}
+    data = {
+        "sha256": fingerprint, "transitions": 90, "whole_episodes": 9, "mean_return": mean_return, "best_return": 2e3,
+        "normalised_score": 44.7,
+    }  # fmt: skip
     return {
-        "task": "hopper-medium", "environment": "Hopper-v4", "method": method, "seed": seed, "steps": steps,
+        "task": "hopper-medium", "environment": "Hopper-v4", "method": method, "seed": seed, "steps": 50_000,
         "updates": updates, "data": data, "updates_per_second": 50.0, "seconds": {"total": 1800.0},
         "final": None if score is None else {"normalised_score": score, "mean_return": 10 * score},
     }  # fmt: skip
@@ -113,6 +121,19 @@ def test_table_has_the_interval_over_seeds_and_says_what_diverged() -> None:
         f"{before}odaf | 50,000 | 2 | 50.0 | [-77.1, 177.1] | 500.0 | 50.0 | 0.50 |",
         f"{before}sac-n | 12,000 and 50,000 of 50,000 | 2 | 1 of 2 diverged | | | 50.0 | 0.50 |",
     ]
+
+
+def test_sets_are_told_apart_by_their_rows_not_by_their_notes() -> None:
+    same = [record_of("odaf", 0, 40.0), record_of("odaf", 1, 60.0, fingerprint="cd" * 32)]
+    lines = locomotion_study.table(same).splitlines()[-2:]
+    assert all(
+        line.startswith("| hopper-medium | Hopper-v4 | locally generated data, abababab and cdcdcdcd |")
+        for line in lines
+    )
+    assert "| odaf | 50,000 | 2 | 50.0 |" in lines[1]
+    other = [record_of("odaf", 0, 40.0), record_of("odaf", 1, 60.0, mean_return=1434.5)]
+    lines = locomotion_study.table(other).splitlines()[-4:]
+    assert [line.count("| odaf | 50,000 | 1 |") for line in lines] == [0, 1, 0, 1]
 
 
 def test_the_plan_is_what_the_page_says() -> None:

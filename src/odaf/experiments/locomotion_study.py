@@ -173,22 +173,30 @@ def table(records: Sequence[dict[str, Any]]) -> str:
     lines = [
         f"Scores on {LOCAL}; last checkpoint, deterministic policy, {FINAL_EPISODES} episodes a seed. Scores are",
         "normalised, 0 for a random policy and 100 for an expert, and belong to the environment named; the raw return",
-        "stands beside them. Intervals are 95 % Student intervals over seeds. `updates` are those made; where a run",
+        "stands beside them. Two fingerprints in one row: the same rows, recorded with differently worded notes.",
+        "Intervals are 95 % Student intervals over seeds. `updates` are those made; where a run",
         "diverged its method has no score. The row of the data is the mean of their whole episodes. Made by",
         "`odaf reproduce locomotion` from the records in this folder.",
         "",
         "| task | environment | data | method | updates | seeds | score | 95 % interval | return | updates/s | hours |",
         "|---|---|---|---|---|---|---|---|---|---|---|",
     ]
-    sets = grouped(records, lambda record: (record["task"], record["environment"], record["data"]["sha256"]))
-    for (task, environment, sha256), group in sets.items():
-        where = f"| {task} | {environment} | {LOCAL}, {sha256[:8]} "
+    sets = grouped(records, lambda record: (record["task"], record["environment"], _rows_of(record["data"])))
+    for (task, environment, _), group in sets.items():
+        prints = sorted({record["data"]["sha256"][:8] for record in group})
+        where = f"| {task} | {environment} | {LOCAL}, {' and '.join(prints)} "
         lines.append(_data_row(where, group[0]["data"]))
         methods = grouped(
             group, lambda record: (record["method"] != "behaviour-cloning", record["method"], record["steps"])
         )
         lines += [_row(where, runs) for runs in methods.values()]
     return "\n".join(lines) + "\n"
+
+
+def _rows_of(data: dict[str, Any]) -> str:
+    """What tells one recorded set from another: figures to the last digit. A fingerprint covers the notes as well, so
+    the same rows have another one once a note of how their policy was trained is worded differently."""
+    return repr([data[figure] for figure in ("transitions", "whole_episodes", "mean_return", "best_return")])
 
 
 def _data_row(where: str, data: dict[str, Any]) -> str:
