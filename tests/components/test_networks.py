@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import jax.random as jr
 import numpy as np
 import pytest
+from jax.test_util import check_grads
 
 from golden import networks, tiny
 from odaf.components.networks import init_mlp
@@ -32,6 +33,20 @@ def test_a_stack_shows_the_same_rows_to_every_member_or_each_its_own(norm):
         for given, of_member in ((rows[0], lambda _: rows[0]), (rows, lambda member: rows[member])):
             expected = [networks.mlp(stack, of_member(member), member) for member in range(3)]
             np.testing.assert_allclose(stack(jnp.asarray(given)), np.stack(expected), rtol=1e-10)
+
+
+@pytest.mark.parametrize("members", [None, 3])
+def test_derivatives_of_a_normalised_network_are_those_of_its_values(members):
+    """First and second, forward and reverse, against finite differences in double precision."""
+    with tiny.exactly():
+        network = _network(norm="layer", activation="silu", members=members)
+        rows = jnp.asarray(np.random.default_rng(1).normal(size=(7, 4)))
+
+        def values(*arguments):  # the checker hands over NumPy's arrays
+            network, rows = jax.tree.map(jnp.asarray, arguments)
+            return network(rows)
+
+        check_grads(values, (network, rows), order=2, atol=1e-6, rtol=1e-6)
 
 
 def test_single_precision_stays_close_to_the_formula():

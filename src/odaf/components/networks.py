@@ -93,12 +93,32 @@ def _over_rows(parameter: Float[Array, "*stack width"]) -> Float[Array, "*stack 
     return parameter[..., None, :]
 
 
+@jax.custom_jvp
 def _layer_norm(x: Float[Array, "*rows width"]) -> Float[Array, "*rows width"]:
-    # Means as products with a constant vector: the CPU compiler vectorises those, not sums along the last axis.
-    average = jnp.full((x.shape[-1],), 1.0 / x.shape[-1], x.dtype)
-    centred = x - (x @ average)[..., None]
-    variance = (jnp.square(centred) @ average)[..., None]
-    return centred * jax.lax.rsqrt(variance + LAYER_NORM_EPSILON)
+    """Rows shifted and scaled to mean 0 and variance 1.
+
+    Its derivative is written out, and equals the one that JAX derives: dn = (d - mean(d) - n mean(n d)) / deviation.
+    JAX's goes back through mean and variance one after the other and makes an update 5 to 10 % slower on a CPU.
+    """
+    return _normalised(x)[0]
+
+
+@_layer_norm.defjvp
+def _layer_norm_derivative(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
+    normalised, scale = _normalised(*primals)
+    change = scale * tangents[0]
+    return normalised, change - _row_mean(change) - normalised * _row_mean(normalised * change)
+
+
+def _normalised(x: Float[Array, "*rows width"]) -> tuple[Float[Array, "*rows width"], Float[Array, "*rows 1"]]:
+    centred = x - _row_mean(x)
+    scale = jax.lax.rsqrt(_row_mean(jnp.square(centred)) + LAYER_NORM_EPSILON)
+    return centred * scale, scale
+
+
+def _row_mean(x: Float[Array, "*rows width"]) -> Float[Array, "*rows 1"]:
+    # As a product with a constant vector: the CPU compiler vectorises those, not sums along the last axis.
+    return (x @ jnp.full((x.shape[-1],), 1.0 / x.shape[-1], x.dtype))[..., None]
 
 
 def init_mlp(
