@@ -7,13 +7,13 @@ the floor that an offline learner has to beat.
 import dataclasses
 from typing import Any, ClassVar
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Float, Int, PRNGKeyArray, PyTree
 
 from odaf.algorithms.base import Algorithm, LearnerState, Metrics, PretrainProgress
+from odaf.components.adam import adam_step, first_moments
 from odaf.components.policies import DeterministicActor, init_deterministic_actor
 from odaf.data.dataset import Dataset
 from odaf.data.normalisation import Normaliser
@@ -65,19 +65,15 @@ class BehaviourCloning(Algorithm[CloningState]):
         """Random actor, fresh optimiser."""
         del side
         actor = init_deterministic_actor(key, spec.obs_dim, spec.act_dim, self.hidden_sizes)
-        return CloningState(jnp.asarray(0), actor, self._optimiser().init(eqx.filter(actor, eqx.is_inexact_array)))
+        return CloningState(jnp.asarray(0), actor, first_moments(actor))
 
     def update(self, state: CloningState, batch: Transitions, key: PRNGKeyArray) -> tuple[CloningState, Metrics]:
         """One Adam step on the cloning loss."""
         del key
         loss, gradient = jax.value_and_grad(cloning_loss)(state.actor, batch)
-        updates, moments = self._optimiser().update(gradient, state.actor_optimiser)
-        actor = eqx.apply_updates(state.actor, updates)
+        actor, moments = adam_step(self.learning_rate, gradient, state.actor_optimiser, state.actor)
         return CloningState(state.step + 1, actor, moments), {"actor/loss": loss}
 
     def act(self, state: CloningState, observations: Float[Array, "rows obs_dim"]) -> Float[Array, "rows act_dim"]:
         """mu(s)."""
         return state.actor.mode(observations)
-
-    def _optimiser(self) -> optax.GradientTransformation:
-        return optax.adam(self.learning_rate)

@@ -34,6 +34,7 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray, PyTree
 from odaf.algorithms.base import Algorithm, LearnerState, Metrics, PretrainProgress
 from odaf.algorithms.terms.base import Context, Term
 from odaf.algorithms.warm_start import fit_to_log, returns_to_go
+from odaf.components.adam import adam_step, first_moments
 from odaf.components.critics import CriticEnsemble, disagreement, init_critics
 from odaf.components.losses import ensemble_td_gradient, soft_actor_loss, temperature_loss
 from odaf.components.networks import Products
@@ -225,9 +226,9 @@ class EnsembleSAC(Algorithm[EnsembleState]):
             target_critics=copy_of(critics),
             log_temperature=log_temperature,
             target_entropy=jnp.asarray(logged_entropy if target_entropy == "log" else target_entropy, jnp.float32),
-            actor_optimiser=_moments(self.actor_learning_rate, actor),
-            critic_optimiser=_moments(self.critic_learning_rate, critics),
-            temperature_optimiser=_moments(self.temperature_learning_rate, log_temperature),
+            actor_optimiser=first_moments(actor),
+            critic_optimiser=first_moments(critics),
+            temperature_optimiser=first_moments(log_temperature),
             reward_scale=jnp.asarray(self._scale(spec), dtype=jnp.float32),
             value_bounds=self._value_bounds(spec),
             side=side,
@@ -340,11 +341,11 @@ class EnsembleSAC(Algorithm[EnsembleState]):
         critic_gradient, critic_metrics = self.critic_gradient(state, batch, key_critic)
         temperature_gradient = jax.grad(temperature_loss)(state.log_temperature, log_density, state.target_entropy)
 
-        actor, actor_optimiser = _adam(self.actor_learning_rate, actor_gradient, state.actor_optimiser, state.actor)
-        critics, critic_optimiser = _adam(
+        actor, actor_optimiser = adam_step(self.actor_learning_rate, actor_gradient, state.actor_optimiser, state.actor)
+        critics, critic_optimiser = adam_step(
             self.critic_learning_rate, critic_gradient, state.critic_optimiser, state.critics
         )
-        log_temperature, temperature_optimiser = _adam(
+        log_temperature, temperature_optimiser = adam_step(
             self.temperature_learning_rate, temperature_gradient, state.temperature_optimiser, state.log_temperature
         )
         metrics = actor_metrics | critic_metrics | {"temperature/value": jnp.exp(log_temperature)}
@@ -389,15 +390,6 @@ class EnsembleSAC(Algorithm[EnsembleState]):
             value_bounds=state.value_bounds,
             step=state.step,
         )
-
-
-def _moments(rate: float, parameters: PyTree) -> optax.OptState:
-    return optax.adam(rate).init(parameters)
-
-
-def _adam(rate: float, gradient: PyTree, moments: optax.OptState, parameters: PyTree) -> tuple[PyTree, optax.OptState]:
-    updates, moments = optax.adam(rate).update(gradient, moments, parameters)
-    return optax.apply_updates(parameters, updates), moments
 
 
 def _key_for(term: Term, key: PRNGKeyArray) -> PRNGKeyArray:

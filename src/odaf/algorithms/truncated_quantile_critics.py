@@ -24,9 +24,10 @@ import jax
 import jax.numpy as jnp
 import jax.random as jr
 import optax
-from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, PyTree
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from odaf.algorithms.base import Algorithm, LearnerState, Metrics, PretrainProgress
+from odaf.components.adam import adam_step, first_moments
 from odaf.components.critics import CriticEnsemble, over_members
 from odaf.components.losses import soft_actor_loss, temperature_loss
 from odaf.components.networks import MLP, init_mlp
@@ -191,9 +192,9 @@ class TruncatedQuantileCritics(Algorithm[TQCState]):
             critics=critics,
             target_critics=copy_of(critics),
             log_temperature=log_temperature,
-            actor_optimiser=self._moments(actor),
-            critic_optimiser=self._moments(critics),
-            temperature_optimiser=self._moments(log_temperature),
+            actor_optimiser=first_moments(actor),
+            critic_optimiser=first_moments(critics),
+            temperature_optimiser=first_moments(log_temperature),
         )
 
     def target(
@@ -243,10 +244,12 @@ class TruncatedQuantileCritics(Algorithm[TQCState]):
         target_entropy = float(-batch.actions.shape[1]) if self.target_entropy is None else self.target_entropy
         temperature_gradient = jax.grad(temperature_loss)(state.log_temperature, log_density, target_entropy)
 
-        actor, actor_optimiser = self._adam(actor_gradient, state.actor_optimiser, state.actor)
-        critics, critic_optimiser = self._adam(critic_gradient, state.critic_optimiser, state.critics)
-        log_temperature, temperature_optimiser = self._adam(
-            temperature_gradient, state.temperature_optimiser, state.log_temperature
+        actor, actor_optimiser = adam_step(self.learning_rate, actor_gradient, state.actor_optimiser, state.actor)
+        critics, critic_optimiser = adam_step(
+            self.learning_rate, critic_gradient, state.critic_optimiser, state.critics
+        )
+        log_temperature, temperature_optimiser = adam_step(
+            self.learning_rate, temperature_gradient, state.temperature_optimiser, state.log_temperature
         )
         new_state = TQCState(
             step=state.step + 1,
@@ -268,10 +271,3 @@ class TruncatedQuantileCritics(Algorithm[TQCState]):
     def act(self, state: TQCState, observations: Float[Array, "rows obs_dim"]) -> Float[Array, "rows act_dim"]:
         """tanh of the actor's mean."""
         return state.actor.mode(observations)
-
-    def _moments(self, parameters: PyTree) -> optax.OptState:
-        return optax.adam(self.learning_rate).init(parameters)
-
-    def _adam(self, gradient: PyTree, moments: optax.OptState, parameters: PyTree) -> tuple[PyTree, optax.OptState]:
-        updates, moments = optax.adam(self.learning_rate).update(gradient, moments, parameters)
-        return optax.apply_updates(parameters, updates), moments
