@@ -11,65 +11,38 @@ s' must be the next state, so the learner's `return_steps` has to be 1.
 """
 
 import dataclasses
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
 import jax.random as jr
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from odaf.algorithms.base import Metrics, PretrainProgress
-from odaf.algorithms.terms.base import Context, Term
-from odaf.algorithms.terms.inverse_dynamics_alignment import has_successor, mean_where
-from odaf.components.inverse_dynamics import InverseDynamics, InverseDynamicsConfig, fit_inverse, untrained_inverse
+from odaf.algorithms.base import Metrics
+from odaf.algorithms.terms.base import Context
+from odaf.algorithms.terms.inverse_dynamics import InverseDynamicsTerm, mean_where_followed
+from odaf.components.inverse_dynamics import InverseDynamics
 from odaf.components.policies import draw_actions
 from odaf.components.targets import frozen
-from odaf.data.dataset import Dataset
-from odaf.data.normalisation import Normaliser
-from odaf.data.spec import Spec
 from odaf.errors import ConfigError
 
 
 @dataclasses.dataclass(frozen=True)
-class InverseDynamicsValues(Term):
+class InverseDynamicsValues(InverseDynamicsTerm):
     """Near logged states, lower the critics at the policy's actions and raise them at those that lead back (OSR-v)."""
 
     name: ClassVar[str] = "inverse_dynamics_values"
     acts_on_critics: ClassVar[bool] = True
-    needs_next_state: ClassVar[bool] = True
 
     weight: float = 5.0
     """lambda_v, the weight in the critics' loss (not known; 5 is CQL's); 0 leaves the term out."""
-    state_noise: float = 1e-3
-    """beta, standard deviation of the normal noise on the states, in standard deviations of the log."""
     num_actions: int = 10
     """n, policy actions a state."""
-    model: InverseDynamicsConfig = dataclasses.field(default_factory=InverseDynamicsConfig)
-    """The model of inverse dynamics."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.num_actions < 1:
-            raise ConfigError(f"inverse_dynamics_values.num_actions={self.num_actions} must be at least 1")
-        for field in ("weight", "state_noise"):
-            if getattr(self, field) < 0:
-                raise ConfigError(f"inverse_dynamics_values.{field}={getattr(self, field)} must not be negative")
-
-    def untrained_side(self, key: PRNGKeyArray, spec: Spec) -> InverseDynamics:
-        """The model before training."""
-        return untrained_inverse(self.model, key, spec.obs_dim, spec.act_dim)
-
-    def pretrain(
-        self, dataset: Dataset, normaliser: Normaliser, key: PRNGKeyArray, progress: PretrainProgress
-    ) -> tuple[InverseDynamics, dict[str, Any]]:
-        """Fit the model on the log."""
-        return fit_inverse(
-            self.model,
-            dataset,
-            normaliser,
-            key,
-            lambda done, steps: progress("inverse-dynamics model", done, steps),
-            self.name,
-        )
+            raise ConfigError(f"{self.name}.num_actions={self.num_actions} must be at least 1")
 
     def critic_loss(
         self, context: Context, side: InverseDynamics, key: PRNGKeyArray
@@ -78,7 +51,7 @@ class InverseDynamicsValues(Term):
         key_state, key_latent, key_back, key_policy = jr.split(key, 4)
         batch = context.batch
         rows, act_dim = batch.actions.shape
-        perturbed = batch.observations + self.state_noise * jr.normal(key_state, batch.observations.shape)
+        perturbed = self.states_beside(batch, key_state)
         mean, log_std = frozen(side).parameters(perturbed, batch.next_observations, side.draw_noise(key_latent, rows))
         back = jnp.tanh(mean + jnp.exp(log_std) * jr.normal(key_back, mean.shape))
         noise = jr.normal(key_policy, (self.num_actions, rows, act_dim))
@@ -89,5 +62,5 @@ class InverseDynamicsValues(Term):
         values = context.critics(states.reshape(-1, perturbed.shape[1]), candidates.reshape(-1, act_dim))
         values = values.reshape(-1, self.num_actions + 1, rows)
         pushed_down = jax.nn.logsumexp(values[:, :-1] - log_density[None], axis=1)
-        loss = mean_where(jnp.mean(pushed_down - values[:, -1], axis=0), has_successor(batch))
+        loss = mean_where_followed(jnp.mean(pushed_down - values[:, -1], axis=0), batch)
         return self.weight * loss, {"inverse_dynamics_values/gap": loss}
