@@ -134,20 +134,16 @@ class OutcomePenalty(Term):
             include_centre=self.include_centre,
         )
         noises = jax.vmap(lambda k: self._draw_noise(side, rows, act_dim, k))(jr.split(key_noise, self.num_draws))
-        if self.reduce == "mean":
-            values = jax.lax.map(
-                lambda draw: self.outcome_uncertainty(context, context.actor, side, states + draw[0], draw[1]),
-                (offsets, noises),
-            )
-            return jnp.mean(values, axis=0)
-
-        fixed_actor = frozen(context.actor)
+        # without gradients where only the winner is differentiated
+        judging_actor = context.actor if self.reduce == "mean" else frozen(context.actor)
 
         def judge(_: None, draw: tuple[Float[Array, "rows obs_dim"], Noise]) -> tuple[None, Float[Array, " rows"]]:
-            return None, self.outcome_uncertainty(context, fixed_actor, side, states + draw[0], draw[1])
+            return None, self.outcome_uncertainty(context, judging_actor, side, states + draw[0], draw[1])
 
         # one draw after another, so that the activations of a pass stay in the cache
         _, scores = jax.lax.scan(judge, None, (offsets, noises), unroll=DRAWS_A_STEP)
+        if self.reduce == "mean":
+            return jnp.mean(scores, axis=0)
         best = jnp.argmax(jax.lax.stop_gradient(scores), axis=0)
         offset, noise = jax.tree.map(lambda draws: draws[best, jnp.arange(rows)], (offsets, noises))
         return self.outcome_uncertainty(context, context.actor, side, states + offset, noise)
