@@ -100,11 +100,12 @@ def record_of(
         "task": "hopper-medium", "environment": "Hopper-v4", "method": method, "seed": seed, "steps": 50_000,
         "updates": updates, "data": data, "updates_per_second": 50.0, "seconds": {"total": 1800.0},
         "final": None if score is None else {"normalised_score": score, "mean_return": 10 * score},
+        "evaluations": [] if score is None else [{"normalised_score": score / 2}, {"normalised_score": score}],
     }  # fmt: skip
 
 
 def test_table_has_the_interval_over_seeds_and_says_what_diverged() -> None:
-    # Scores 40 and 60: mean 50, standard error 10, t(0.975, 1) = 12.7062.
+    # Scores 40 and 60: mean 50, standard error 10, t(0.975, 1) = 12.7062; on the way 20, 40, 30 and 60.
     lines = locomotion_study.table(
         [
             record_of("odaf", 0, 40.0),
@@ -116,10 +117,10 @@ def test_table_has_the_interval_over_seeds_and_says_what_diverged() -> None:
     ).splitlines()[-4:]
     before = "| hopper-medium | Hopper-v4 | locally generated data, abababab | "
     assert lines == [
-        f"{before}the data themselves (9 episodes) | | | 44.7 | | 1,434.0 | | |",
-        f"{before}behaviour-cloning | 50,000 | 1 | 30.0 | one seed | 300.0 | 50.0 | 0.50 |",
-        f"{before}odaf | 50,000 | 2 | 50.0 | [-77.1, 177.1] | 500.0 | 50.0 | 0.50 |",
-        f"{before}sac-n | 12,000 and 50,000 of 50,000 | 2 | 1 of 2 diverged | | | 50.0 | 0.50 |",
+        f"{before}the data themselves (9 episodes) | | | 44.7 | | | 1,434.0 | | |",
+        f"{before}behaviour-cloning | 50,000 | 1 | 30.0 | one seed | 22.5 | 300.0 | 50.0 | 0.50 |",
+        f"{before}odaf | 50,000 | 2 | 50.0 | [-77.1, 177.1] | 37.5 | 500.0 | 50.0 | 0.50 |",
+        f"{before}sac-n | 12,000 and 50,000 of 50,000 | 2 | 1 of 2 diverged | | | | 50.0 | 0.50 |",
     ]
 
 

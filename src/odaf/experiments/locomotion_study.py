@@ -174,12 +174,14 @@ def table(records: Sequence[dict[str, Any]]) -> str:
         f"Scores on {LOCAL}; last checkpoint, deterministic policy, {FINAL_EPISODES} episodes a seed. Scores are",
         "normalised, 0 for a random policy and 100 for an expert, and belong to the environment named; the raw return",
         "stands beside them. Two fingerprints in one row: the same rows, recorded with differently worded notes.",
-        "Intervals are 95 % Student intervals over seeds. `updates` are those made; where a run",
+        "Intervals are 95 % Student intervals over seeds. `on the way` is the mean score of all evaluations while the",
+        "runs trained: a policy that comes and goes has less there than at its end. `updates` are those made; where a run",
         "diverged its method has no score. The row of the data is the mean of their whole episodes. Made by",
         "`odaf reproduce locomotion` from the records in this folder.",
         "",
-        "| task | environment | data | method | updates | seeds | score | 95 % interval | return | updates/s | hours |",
-        "|---|---|---|---|---|---|---|---|---|---|---|",
+        "| task | environment | data | method | updates | seeds | score | 95 % interval | on the way | return "
+        "| updates/s | hours |",
+        "|---|---|---|---|---|---|---|---|---|---|---|---|",
     ]
     sets = grouped(records, lambda record: (record["task"], record["environment"], _rows_of(record["data"])))
     for (task, environment, _), group in sets.items():
@@ -204,7 +206,7 @@ def _data_row(where: str, data: dict[str, Any]) -> str:
         score = mean = "unknown"
     else:
         score, mean = f"{data['normalised_score']:.1f}", f"{data['mean_return']:,.1f}"
-    return f"{where}| the data themselves ({data['whole_episodes']:,} episodes) | | | {score} | | {mean} | | |"
+    return f"{where}| the data themselves ({data['whole_episodes']:,} episodes) | | | {score} | | | {mean} | | |"
 
 
 def _row(where: str, group: Sequence[dict[str, Any]]) -> str:
@@ -215,11 +217,13 @@ def _row(where: str, group: Sequence[dict[str, Any]]) -> str:
     updates = f"{asked:,}" if made == [asked] else f"{' and '.join(f'{count:,}' for count in made)} of {asked:,}"
     lost = sum(record["final"] is None for record in group)
     if lost:
-        score = f"{lost} of {len(group)} diverged | | "
+        score = f"{lost} of {len(group)} diverged | | | "
     else:
         scores = t_interval([record["final"]["normalised_score"] for record in group])
         interval = f"[{scores.low:.1f}, {scores.high:.1f}]" if scores.count > 1 else "one seed"
-        score = f"{scores.mean:.1f} | {interval} | {_mean([record['final']['mean_return'] for record in group]):,.1f} "
+        curve = _mean([point["normalised_score"] for record in group for point in record["evaluations"]])
+        mean_return = _mean([record["final"]["mean_return"] for record in group])
+        score = f"{scores.mean:.1f} | {interval} | {curve:.1f} | {mean_return:,.1f} "
     speed = _mean([record["updates_per_second"] for record in group])
     hours = _mean([record["seconds"]["total"] for record in group]) / 3600
     return f"{where}| {group[0]['method']} | {updates} | {len(group)} | {score}| {speed:.1f} | {hours:.2f} |"
