@@ -175,8 +175,8 @@ def table(records: Sequence[dict[str, Any]]) -> str:
         "normalised, 0 for a random policy and 100 for an expert, and belong to the environment named; the raw return",
         "stands beside them. Two fingerprints in one row: the same rows, recorded with differently worded notes.",
         "Intervals are 95 % Student intervals over seeds. `on the way` is the mean score of all evaluations while the",
-        "runs trained: a policy that comes and goes has less there than at its end. `updates` are those made; where a run",
-        "diverged its method has no score. The row of the data is the mean of their whole episodes. Made by",
+        "runs trained: a policy that comes and goes has less there than at its end. `updates` are those made; where a",
+        "run diverged its method has no score. The row of the data is the mean of their whole episodes. Made by",
         "`odaf reproduce locomotion` from the records in this folder.",
         "",
         "| task | environment | data | method | updates | seeds | score | 95 % interval | on the way | return "
