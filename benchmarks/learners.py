@@ -19,7 +19,7 @@ from odaf.components.targets import frozen
 from odaf.data.sampling import sample
 from odaf.data.spec import Spec
 from odaf.data.transitions import Transitions
-from odaf.experiments import presets
+from odaf.runs import presets
 
 SPEC = Spec(11, 3, (-1.0,) * 3, (1.0,) * 3, 0.0, 1.0, False, 1000)
 PROBLEM = {"hidden_sizes": (256, 256, 256), "num_critics": 10, "batch_size": 256}

@@ -18,7 +18,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks import learners
 from benchmarks.machine import machine, write_figures
-from odaf.experiments.workers import cores, run_jobs
+from odaf.runs.workers import cores, run_jobs
 from odaf.training.loop import settled, stacked, train_stretch, train_stretch_many, training_key, update_number
 
 

@@ -19,9 +19,12 @@ ORDER = (
     "components",
     "algorithms",
     "training",
-    "evaluation",
     "environments",
-    "experiments",
+    "evaluation",
+    "runs",
+    "report",
+    "behaviour",
+    "studies",
     "cli",
 )
 # The package's own front and entry point look into every room by design.

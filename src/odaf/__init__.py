@@ -21,7 +21,7 @@ _HOME_OF = {
     "GradientDiversity": "odaf.algorithms.terms",
     "InverseDynamicsAlignment": "odaf.algorithms.terms",
     "InverseDynamicsValues": "odaf.algorithms.terms",
-    "ODAF": "odaf.experiments.methods",
+    "ODAF": "odaf.runs.methods",
     "OODPessimism": "odaf.algorithms.terms",
     "OdafError": "odaf.errors",
     "OutcomePenalty": "odaf.algorithms.terms",
@@ -30,24 +30,38 @@ _HOME_OF = {
     "Rollouts": "odaf.evaluation",
     "Run": "odaf.evaluation",
     "ValueSmoothing": "odaf.algorithms.terms",
-    "evaluate": "odaf.experiments.evaluate",
-    "fit": "odaf.experiments.fit",
-    "load_run": "odaf.experiments.fit",
-    "preset": "odaf.experiments.methods",
-    "resume": "odaf.experiments.fit",
+    "evaluate": "odaf.runs.evaluate",
+    "fit": "odaf.runs.fit",
+    "load_run": "odaf.runs.fit",
+    "preset": "odaf.runs.methods",
+    "resume": "odaf.runs.fit",
     "rollout": "odaf.evaluation",
 }
 
 # The rooms themselves, so that `odaf.environments.make` works after `import odaf`.
-_ROOMS = ("algorithms", "components", "data", "environments", "evaluation", "experiments", "training")
+_ROOMS = (
+    "algorithms",
+    "behaviour",
+    "components",
+    "data",
+    "environments",
+    "evaluation",
+    "report",
+    "runs",
+    "studies",
+    "training",
+)
 
 if TYPE_CHECKING:
     from odaf import algorithms as algorithms
+    from odaf import behaviour as behaviour
     from odaf import components as components
     from odaf import data as data
     from odaf import environments as environments
     from odaf import evaluation as evaluation
-    from odaf import experiments as experiments
+    from odaf import report as report
+    from odaf import runs as runs
+    from odaf import studies as studies
     from odaf import training as training
     from odaf.algorithms.behaviour_cloning import BehaviourCloning
     from odaf.algorithms.ensemble_sac import EnsembleSAC
@@ -64,9 +78,9 @@ if TYPE_CHECKING:
     from odaf.data import Dataset
     from odaf.errors import CheckpointError, ConfigError, DatasetError, DivergenceError, OdafError
     from odaf.evaluation import Policy, Rollouts, Run, rollout
-    from odaf.experiments.evaluate import evaluate
-    from odaf.experiments.fit import fit, load_run, resume
-    from odaf.experiments.methods import ODAF, preset
+    from odaf.runs.evaluate import evaluate
+    from odaf.runs.fit import fit, load_run, resume
+    from odaf.runs.methods import ODAF, preset
 
 __all__ = [
     "ODAF",

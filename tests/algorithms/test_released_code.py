@@ -11,7 +11,7 @@ from golden import dynamics, released_code, tiny
 from odaf.algorithms import config
 from odaf.algorithms.ensemble_sac import EnsembleSAC, _key_for
 from odaf.components.perturbations import draw_offsets
-from odaf.experiments import presets
+from odaf.runs import presets
 
 DRAWS = 3
 KEY = 5

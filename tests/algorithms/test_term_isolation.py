@@ -22,7 +22,7 @@ from odaf.algorithms.terms import (
     ValueSmoothing,
 )
 from odaf.components.inverse_dynamics import InverseDynamicsConfig, untrained_inverse
-from odaf.experiments import presets
+from odaf.runs import presets
 
 SMALL_TERMS = {
     "outcome.dynamics.hidden_sizes": (5, 4),

@@ -185,8 +185,8 @@ def test_long_commands_say_that_they_can_be_repeated(
     def interrupted(*arguments, **options):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("odaf.experiments.demo.run", interrupted)
-    monkeypatch.setattr("odaf.experiments.pointmaze_study.run", interrupted)
+    monkeypatch.setattr("odaf.studies.demo.run", interrupted)
+    monkeypatch.setattr("odaf.studies.pointmaze.run", interrupted)
     assert main([command, *(["pointmaze"] if command == "reproduce" else [])]) == 130
     assert "repeat the command to go on" in capsys.readouterr().err
 
@@ -200,7 +200,7 @@ def test_long_commands_say_that_they_can_be_repeated(
 )
 def test_a_part_of_a_study_reaches_it(words: list[str], given: dict[str, object], monkeypatch: pytest.MonkeyPatch):
     calls = []
-    monkeypatch.setattr(f"odaf.experiments.{words[0]}_study.run", lambda out, **options: calls.append((out, options)))
+    monkeypatch.setattr(f"odaf.studies.{words[0]}.run", lambda out, **options: calls.append((out, options)))
     assert main(["reproduce", *words]) == 0
     ((out, options),) = calls
     assert out == Path("results") / words[0]

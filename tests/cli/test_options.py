@@ -6,7 +6,7 @@ from typing import Any, ClassVar, Literal
 import pytest
 
 from odaf.cli.options import field_help, parse, settings_of, with_settings
-from odaf.experiments import presets
+from odaf.runs import presets
 
 
 @dataclasses.dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from odaf.evaluation.reference_returns import REFERENCES, normalised_score, reference_of
+from odaf.environments.reference_returns import REFERENCES, normalised_score, reference_of
 
 
 @pytest.mark.parametrize(

@@ -8,9 +8,10 @@ import pytest
 
 from odaf.data.normalisation import Normaliser
 from odaf.data.spec import Spec
+from odaf.environments.start_seeds import EVALUATION_SEED_OFFSET
 from odaf.errors import ConfigError
 from odaf.evaluation import Episodes, RolloutEvaluator, Rollouts, rollout
-from odaf.evaluation.rollouts import EVALUATION_SEED_OFFSET, summarise
+from odaf.evaluation.rollouts import summarise
 from odaf.training.policy import Policy
 
 

@@ -2,7 +2,7 @@
 
 import os
 
-from odaf.experiments.workers import tell
+from odaf.runs.workers import tell
 
 prepared: list[int] = []
 

@@ -41,8 +41,8 @@ def train(arguments: list[str]) -> None:
     if options.core is not None and hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {options.core})  # before an array library counts the cores
 
-    from odaf.experiments.behaviour.online import OnlineRun
-    from odaf.experiments.behaviour.online import train as train_online
+    from odaf.behaviour.online import OnlineRun
+    from odaf.behaviour.online import train as train_online
     from odaf.training.progress import default_progress
 
     run = OnlineRun(options.task, options.version, options.seed, options.steps, batch_size=options.batch_size)
@@ -68,8 +68,8 @@ def export(arguments: list[str]) -> None:
     """Entry point of `odaf behaviour export`."""
     options = parse(ExportOptions, arguments, "behaviour export")
 
+    from odaf.behaviour.export import export as export_policies
     from odaf.environments import shipped_policies
-    from odaf.experiments.behaviour.export import export as export_policies
     from odaf.training.progress import default_progress
 
     folder = options.policies or Path(shipped_policies.__file__).with_name("policies")

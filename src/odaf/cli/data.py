@@ -189,7 +189,7 @@ def _locomotion_data(options: GenerateOptions) -> "Dataset":
         if options.transitions is not None:
             raise ConfigError("--transitions: the buffer of a training run is as long as its training; leave it out")
 
-        from odaf.experiments.behaviour.exact_replay import exact_replay
+        from odaf.behaviour.exact_replay import exact_replay
 
         with repeatable():
             return exact_replay(options.name, options.exact, options.seed, version, progress)

@@ -29,7 +29,7 @@ def run(arguments: list[str]) -> None:
     options = parse(PlotOptions, arguments, "data plot")
 
     from odaf.data import Dataset
-    from odaf.experiments import data_page
+    from odaf.report import data_page
 
     data_page.check_extra()
     dataset = Dataset.load(options.file)

@@ -29,7 +29,7 @@ def run(arguments: list[str]) -> None:
     """Entry point of the command."""
     options = parse(DemoOptions, arguments, "demo")
 
-    from odaf.experiments import demo
+    from odaf.studies import demo
 
     with repeatable():
         demo.run(options.out, options.steps or demo.STEPS, options.workers)

@@ -108,7 +108,7 @@ def _where(options: EvaluateOptions, episodes: int) -> dict[str, Any]:
 
 
 def _in_peace(options: EvaluateOptions) -> None:
-    from odaf.experiments.evaluate import evaluate
+    from odaf.runs.evaluate import evaluate
     from odaf.training.files import write_json
 
     scores = evaluate(options.directory, **_where(options, _EPISODES))
@@ -125,8 +125,8 @@ def _in_peace(options: EvaluateOptions) -> None:
 
 
 def _under_attack(options: EvaluateOptions) -> None:
-    from odaf.experiments import figures
-    from odaf.experiments.evaluate_attacks import BUDGETS, attack_curve
+    from odaf.report import figures
+    from odaf.runs.evaluate_attacks import BUDGETS, attack_curve
     from odaf.training.files import write_json
 
     assert options.attack is not None
@@ -152,7 +152,7 @@ def _under_attack(options: EvaluateOptions) -> None:
 
 def _knocked(options: EvaluateOptions) -> None:
     from odaf.environments.knocks import LEVELS, Knock
-    from odaf.experiments.evaluate_knocks import knock_scores
+    from odaf.runs.evaluate_knocks import knock_scores
     from odaf.training.files import write_json
 
     steps = LEVELS[options.knock or "none"] if options.knock_steps is None else options.knock_steps

@@ -31,6 +31,6 @@ def run(arguments: list[str]) -> None:
     if not options.directories:
         raise ConfigError("name at least one run directory, as in `odaf report runs/maze --out report.html`")
 
-    from odaf.experiments import report
+    from odaf import report
 
     print(f"wrote {report.build(options.directories, options.out, options.title)}")

@@ -48,18 +48,18 @@ def run(arguments: list[str]) -> None:
     out = options.out or Path("results") / options.study
     with repeatable():
         if options.study == "pointmaze":
-            from odaf.experiments import pointmaze_study
+            from odaf.studies import pointmaze as pointmaze_study
 
             pointmaze_study.run(out, workers=options.workers)
         elif options.study == "outcome":
-            from odaf.experiments import outcome_study
+            from odaf.studies import outcome as outcome_study
 
             outcome_study.run(out, workers=options.workers, phase=options.phase)
         elif options.study == "locomotion":
-            from odaf.experiments import locomotion_study
+            from odaf.studies import locomotion as locomotion_study
 
             locomotion_study.run(out, workers=options.workers, only=options.only, phase=options.phase)
         else:
-            from odaf.experiments import generators_study
+            from odaf.studies import generators as generators_study
 
             generators_study.run(out, workers=options.workers)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from odaf.data.checks import Report
     from odaf.evaluation import Estimate, Run, Scores
-    from odaf.experiments.evaluate_attacks import AttackCurve
+    from odaf.runs.evaluate_attacks import AttackCurve
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

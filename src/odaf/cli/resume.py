@@ -34,8 +34,8 @@ def run(arguments: list[str]) -> None:
     """Entry point of the command."""
     options = parse(ResumeOptions, arguments, "resume")
 
-    from odaf.experiments.fit import load_run, resume
-    from odaf.experiments.side_by_side import default_workers
+    from odaf.runs.fit import load_run, resume
+    from odaf.runs.side_by_side import default_workers
 
     use_compilation_cache(options.compilation_cache)
     with resumable(options.directory):

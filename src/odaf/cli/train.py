@@ -13,7 +13,7 @@ from odaf.cli.interrupts import resumable
 from odaf.cli.options import parse, settings_of, with_settings
 from odaf.cli.results import print_run
 from odaf.errors import ConfigError
-from odaf.experiments import presets
+from odaf.runs import presets
 
 if TYPE_CHECKING:
     from odaf.data import Dataset
@@ -76,8 +76,8 @@ def _task(arguments: list[str]) -> str | None:
 def train(preset: str, algorithm: Any, options: RunOptions) -> None:
     """Train, then print where each seed stands."""
     from odaf.data import Dataset
-    from odaf.experiments.fit import fit
-    from odaf.experiments.side_by_side import default_workers
+    from odaf.runs.fit import fit
+    from odaf.runs.side_by_side import default_workers
 
     use_compilation_cache(options.compilation_cache)
     dataset = Dataset.load(options.data)

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from odaf.environments.locomotion import TIME_LIMIT, Task
-from odaf.evaluation.reference_returns import REFERENCES
+from odaf.environments.reference_returns import REFERENCES
 
 # Mean normalised return of the published sets' whole episodes, and the share of their rows that end one by a fall
 # (episodes over rows; 0 where bodies do not fall).

@@ -13,7 +13,7 @@ import numpy as np
 
 from odaf.environments.gaussian_policy import GaussianPolicy
 from odaf.environments.locomotion import TIME_LIMIT, Simulator, Task
-from odaf.evaluation.rollouts import EVALUATION_SEED_OFFSET
+from odaf.environments.start_seeds import EVALUATION_SEED_OFFSET
 
 MOST_SLOTS = 32
 STEPS_A_SLOT = 10_000  # fewer steps than this for each body would waste episodes that the record does not need

@@ -7,15 +7,12 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
+from odaf.environments.start_seeds import EVALUATION_SEED_OFFSET, MOST_EPISODES
 from odaf.errors import ConfigError
 from odaf.training.evaluator import Evaluation
 from odaf.training.files import write_arrays
 from odaf.training.policy import Policy
 
-# Evaluation episode i of evaluation seed s is reset with OFFSET + s * MOST_EPISODES + i. Data are generated with reset
-# seeds below OFFSET, so no policy is tried on a start that its data hold.
-EVALUATION_SEED_OFFSET = 1_000_000
-MOST_EPISODES = 100_000
 # An environment that is still going after so many steps has no time limit.
 _NO_LIMIT = 100_000
 

@@ -4,8 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from odaf.environments.reference_returns import normalised_score
 from odaf.errors import CheckpointError
-from odaf.evaluation.reference_returns import normalised_score
 from odaf.evaluation.statistics import Estimate, t_interval
 
 

@@ -1,6 +1,6 @@
 """How sure a mean is: spreads and intervals for few runs."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import stdtrit
@@ -27,6 +27,12 @@ class Estimate:
     high: float
     confidence: float
     count: int
+
+    def rescaled(self, zero: float, hundred: float) -> "Estimate":
+        """The same estimate on the scale where `zero` is 0 and `hundred` is 100; `std` is scaled, never shifted."""
+        factor = 100.0 / (hundred - zero)
+        mean, low, high = (factor * (value - zero) for value in (self.mean, self.low, self.high))
+        return replace(self, mean=mean, std=factor * self.std, low=low, high=high)
 
     def __str__(self) -> str:
         if self.count < 2:

@@ -1,0 +1,320 @@
+"""The online loop: play some steps, make as many updates, look at the policy now and then.
+
+A run directory holds `config.json`, `curve.jsonl` (a line an evaluation), `snapshots/STEP.npz` (actors),
+`replay.npy` (every step played) and the newest checkpoint. A run that was stopped goes on from its last checkpoint and
+gives the bits that an unbroken run would have given.
+"""
+
+import dataclasses
+import json
+import shutil
+import time
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.random as jr
+import numpy as np
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from odaf.algorithms.base import Metrics
+from odaf.algorithms.truncated_quantile_critics import TQCState, TruncatedQuantileCritics
+from odaf.behaviour.replay import Replay, unpack
+from odaf.data.spec import Spec
+from odaf.environments.gaussian_policy import GaussianPolicy
+from odaf.environments.locomotion import TIME_LIMIT, Simulator, Task, task_of
+from odaf.environments.reference_returns import REFERENCES
+from odaf.errors import ConfigError
+from odaf.training import checkpoints
+from odaf.training.files import plain, write_arrays, write_json
+from odaf.training.progress import ProgressReport, Silent
+
+DROPPED = {"halfcheetah": 2, "hopper": 5, "walker2d": 2}  # atoms dropped for each critic, as in the paper
+
+
+@dataclasses.dataclass(frozen=True)
+class OnlineRun:
+    """Settings of one run."""
+
+    task: str
+    """halfcheetah, hopper or walker2d."""
+    version: str = "v4"
+    """Environment version."""
+    seed: int = 0
+    """The same seed gives the same bits on the same machine and versions."""
+    steps: int = 1_000_000
+    """Environment steps, the random ones included."""
+    random_steps: int = 10_000
+    """Steps with uniform actions before the first update."""
+    batch_size: int = 256
+    """Transitions an update; half of it makes an update cost three fifths."""
+    stretch: int = 50
+    """Steps played with one set of parameters, then as many updates in one compiled call."""
+    evaluate_every: int = 25_000
+    """Steps between evaluations."""
+    episodes: int = 10
+    """Deterministic episodes of one evaluation."""
+    snapshot_every: int = 5_000
+    """Steps between copies of the actor."""
+    checkpoint_every: int = 50_000
+    """Steps between checkpoints."""
+
+    def __post_init__(self) -> None:
+        task_of(self.task, self.version)
+        for field in ("steps", "random_steps", "evaluate_every", "snapshot_every", "checkpoint_every"):
+            value = getattr(self, field)
+            if value < 1 or value % self.stretch:
+                raise ConfigError(f"{field}={value} must be a positive multiple of stretch={self.stretch}")
+
+    def algorithm(self) -> TruncatedQuantileCritics:
+        """The learner."""
+        return TruncatedQuantileCritics(dropped=DROPPED[self.task], batch_size=self.batch_size)
+
+
+@dataclasses.dataclass
+class _Position:
+    """Where a run is: everything but the learner's state and the replay file."""
+
+    step: int
+    rng: np.random.Generator
+    observation: np.ndarray
+    elapsed: int  # steps of the current episode
+    seconds: float
+
+
+def train(
+    run: OnlineRun,
+    directory: Path,
+    progress: ProgressReport | None = None,
+    stop: Callable[[dict[str, Any]], bool] = lambda evaluation: False,
+) -> None:
+    """Train until `run.steps`, from the newest checkpoint in `directory` if there is one.
+
+    Args:
+        run: settings; they must be those of the directory, but for a larger number of steps.
+        directory: where everything goes.
+        progress: hears how far the run is.
+        stop: called with every line of the curve; true ends the run there.
+
+    Raises:
+        ConfigError: the directory belongs to a run with other settings.
+    """
+    progress = progress or Silent()
+    task, algorithm = task_of(run.task, run.version), run.algorithm()
+    _claim(run, directory)
+    simulator = Simulator(task, run.version)
+    replay = Replay(directory / "replay.npy", task, run.steps)
+    state, now = _start(run, task, algorithm, simulator, directory)
+    key, updates = jr.key(run.seed), _compiled(algorithm, task)
+    began = time.monotonic() - now.seconds
+    progress.start(f"{task.environment_id(run.version)} seed {run.seed}", run.steps, now.step)
+    note = ""
+    while now.step < run.steps:
+        policy = None if now.step < run.random_steps else policy_of(state)
+        _play(run, simulator, policy, replay, now)
+        if now.step > run.random_steps:
+            rows = replay.draw(now.rng.integers(0, now.step, (run.stretch, algorithm.batch_size)))
+            state, metrics = updates(state, rows, jr.fold_in(key, now.step))
+            if now.step % run.evaluate_every == 0:
+                line = {"step": now.step, **_evaluation(run, task, policy_of(state)), **_means(metrics)}
+                now.seconds = line["seconds"] = time.monotonic() - began
+                with (directory / "curve.jsonl").open("a", encoding="utf-8") as file:
+                    file.write(json.dumps(line) + "\n")
+                note = f"score {line['normalised_score']:.1f}"
+                if stop(line):
+                    _save(directory, state, replay, simulator, now)
+                    break
+            if now.step % run.snapshot_every == 0:
+                save_policy(directory / "snapshots" / f"{now.step:08d}.npz", policy_of(state))
+            if now.step % run.checkpoint_every == 0 or now.step == run.steps:
+                now.seconds = time.monotonic() - began
+                _save(directory, state, replay, simulator, now)
+        progress.advance(now.step, note)
+    progress.close()
+
+
+def run_in(directory: Path) -> OnlineRun:
+    """The settings of the run in a directory.
+
+    Raises:
+        ConfigError: there is none.
+    """
+    path = directory / "config.json"
+    if not path.exists():
+        raise ConfigError(f"{directory}: holds no training run; make one with `odaf behaviour train`")
+    return OnlineRun(**json.loads(path.read_text(encoding="utf-8"))["run"])
+
+
+def curve_in(directory: Path) -> list[dict[str, Any]]:
+    """The lines of a run's learning curve so far."""
+    path = directory / "curve.jsonl"
+    lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
+    return [json.loads(line) for line in lines]
+
+
+def policy_of(state: TQCState) -> GaussianPolicy:
+    """The actor on the host."""
+    network = state.actor.network
+    return GaussianPolicy([np.asarray(w) for w in network.weights], [np.asarray(b) for b in network.biases])
+
+
+def save_policy(path: Path, policy: GaussianPolicy) -> None:
+    """Writes the arrays of a policy."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    arrays = {f"weight_{index}": weight for index, weight in enumerate(policy.weights)}
+    arrays |= {f"bias_{index}": bias for index, bias in enumerate(policy.biases)}
+    write_arrays(path, arrays)
+
+
+def load_policy(path: Path) -> GaussianPolicy:
+    """Inverse of `save_policy`."""
+    with np.load(path, allow_pickle=False) as content:
+        layers = range(len(content.files) // 2)
+        weights, biases = ([content[f"{name}_{layer}"] for layer in layers] for name in ("weight", "bias"))
+    return GaussianPolicy(weights, biases)
+
+
+@dataclasses.dataclass(frozen=True)
+class Played:
+    """One episode in each body: undiscounted returns and rows, both [bodies], and the share of all rows with a fall."""
+
+    returns: np.ndarray
+    lengths: np.ndarray
+    fall_share: float
+
+
+def play(policy: GaussianPolicy, simulators: Sequence[Simulator], seed: int, stochastic: bool = False) -> Played:
+    """One episode in each body, all in step, each from a start of its own."""
+    episodes, act_dim = len(simulators), simulators[0].task.act_dim
+    rng = np.random.default_rng(seed)
+    observations = np.stack([simulator.reset(int(rng.integers(2**31))) for simulator in simulators])
+    returns, lengths, alive = np.zeros(episodes), np.zeros(episodes, int), np.ones(episodes, dtype=bool)
+    for _ in range(TIME_LIMIT):
+        if stochastic:
+            actions = policy.sample(observations, rng.standard_normal((episodes, act_dim), dtype=np.float32))
+        else:
+            actions = policy.mode(observations)
+        for index in np.flatnonzero(alive).tolist():
+            observations[index], reward, terminated = simulators[index].step(actions[index])
+            returns[index] += reward
+            lengths[index] += 1
+            alive[index] = not terminated
+        if not alive.any():
+            break
+    falls = int(np.sum(lengths < TIME_LIMIT))  # at the last step the clock counts
+    return Played(returns, lengths, falls / int(lengths.sum()))
+
+
+def _play(run: OnlineRun, simulator: Simulator, policy: GaussianPolicy | None, replay: Replay, now: _Position) -> None:
+    """Plays one stretch; without a policy, uniform actions."""
+    size = run.stretch, simulator.task.act_dim
+    if policy is None:
+        draws = now.rng.uniform(-1.0, 1.0, size).astype(np.float32)
+    else:
+        draws = now.rng.standard_normal(size, dtype=np.float32)
+    for draw in draws:
+        action = draw if policy is None else policy.sample(now.observation, draw)
+        body = simulator.body()
+        observation, reward, terminated = simulator.step(action)
+        now.elapsed += 1
+        cut = now.elapsed >= TIME_LIMIT
+        replay.write(now.step, now.observation, action, reward, observation, terminated, cut and not terminated, body)
+        now.step += 1
+        if terminated or cut:
+            observation, now.elapsed = simulator.reset(int(now.rng.integers(2**31))), 0
+        now.observation = observation
+
+
+def _compiled(
+    algorithm: TruncatedQuantileCritics, task: Task
+) -> Callable[[TQCState, np.ndarray, PRNGKeyArray], tuple[TQCState, Metrics]]:
+    @partial(jax.jit, donate_argnums=0)
+    def updates(
+        state: TQCState, rows: Float[Array, "updates batch width"], key: PRNGKeyArray
+    ) -> tuple[TQCState, Metrics]:
+        def body(state: TQCState, one: tuple[Array, PRNGKeyArray]) -> tuple[TQCState, Metrics]:
+            batch, key = one
+            return algorithm.update(state, unpack(batch, task.obs_dim, task.act_dim), key)
+
+        state, metrics = jax.lax.scan(body, state, (rows, jr.split(key, rows.shape[0])))
+        return state, jax.tree.map(lambda values: values.mean(), metrics)
+
+    return updates
+
+
+def _evaluation(run: OnlineRun, task: Task, policy: GaussianPolicy) -> dict[str, Any]:
+    returns = play(policy, [Simulator(task, run.version) for _ in range(run.episodes)], seed=run.seed).returns
+    return {
+        "environment": task.environment_id(run.version),
+        "episodes": run.episodes,
+        "mean_return": float(returns.mean()),
+        "std_return": float(returns.std()),
+        "normalised_score": REFERENCES[task.family].normalise(float(returns.mean())),
+    }
+
+
+def _means(metrics: Metrics) -> dict[str, float]:
+    return {name: float(value) for name, value in metrics.items()}
+
+
+def _spec(task: Task) -> Spec:
+    low, high = (-1.0,) * task.act_dim, (1.0,) * task.act_dim
+    return Spec(task.obs_dim, task.act_dim, low, high, -np.inf, np.inf, task.name != "halfcheetah", TIME_LIMIT)
+
+
+def _claim(run: OnlineRun, directory: Path) -> None:
+    """Makes the directory this run's own, or checks that it is."""
+    path, settings = directory / "config.json", plain(dataclasses.asdict(run))
+    directory.mkdir(parents=True, exist_ok=True)
+    if path.exists():
+        before = json.loads(path.read_text(encoding="utf-8"))["run"]
+        if before | {"steps": run.steps} != settings:
+            raise ConfigError(f"{directory}: holds a run with other settings; name another place or remove it")
+        if before["steps"] > run.steps:
+            raise ConfigError(
+                f"{directory}: holds a run of {before['steps']:,} steps, and {run.steps:,} were asked for; "
+                "a run can be made longer, not shorter"
+            )
+    write_json(path, {"run": settings, "algorithm": dataclasses.asdict(run.algorithm())})
+
+
+def _start(
+    run: OnlineRun, task: Task, algorithm: TruncatedQuantileCritics, simulator: Simulator, directory: Path
+) -> tuple[TQCState, _Position]:
+    """The newest checkpoint, or the beginning."""
+    state = algorithm.init(jr.fold_in(jr.key(run.seed), 0), _spec(task))
+    rng = np.random.default_rng(run.seed)
+    curve = directory / "curve.jsonl"
+    saved = checkpoints.listed(directory / "checkpoints")
+    if not saved:
+        curve.write_text("", encoding="utf-8")
+        observation = simulator.reset(int(rng.integers(2**31)))
+        return state, _Position(0, rng, observation, 0, 0.0)
+    header = saved[-1].header()
+    rng.bit_generator.state = header["rng"]
+    simulator.restore(np.array(header["physics"]))
+    lines = [
+        line for line in curve.read_text(encoding="utf-8").splitlines() if json.loads(line)["step"] <= header["step"]
+    ]
+    curve.write_text("".join(line + "\n" for line in lines), encoding="utf-8")
+    observation = np.array(header["observation"])
+    return saved[-1].load(state), _Position(header["step"], rng, observation, header["elapsed"], header["seconds"])
+
+
+def _save(directory: Path, state: TQCState, replay: Replay, simulator: Simulator, now: _Position) -> None:
+    """Writes a checkpoint, then removes the older ones."""
+    replay.flush()
+    older = checkpoints.listed(directory / "checkpoints")
+    record = {
+        "rng": now.rng.bit_generator.state,
+        "physics": simulator.physics().tolist(),
+        "observation": now.observation.tolist(),
+        "elapsed": now.elapsed,
+        "seconds": now.seconds,
+    }
+    checkpoints.save(directory / "checkpoints", now.step, state, record)
+    for checkpoint in older:
+        if checkpoint.step != now.step:
+            shutil.rmtree(checkpoint.path)

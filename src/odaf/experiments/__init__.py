@@ -1,1 +1,0 @@
-"""Studies made of the rooms below: presets, the maze comparison, the report."""

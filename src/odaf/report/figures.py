@@ -1,0 +1,189 @@
+"""Picture files for READMEs and result pages; the report draws the same things on its page."""
+
+import functools
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from odaf.errors import ConfigError
+from odaf.report.extras import check_extra
+from odaf.report.quantities import Curve
+from odaf.report.records import RunRecord, find_runs, read_run
+from odaf.report.scores import labels, score
+from odaf.runs.evaluate_attacks import AttackCurve
+from odaf.training.files import write_atomically
+
+RESOLUTION = 180  # dots per inch
+
+
+def maze_figure(
+    run_directories: Sequence[Path], out: Path, names: Sequence[str] | None = None, title: str | None = None
+) -> Path:
+    """Writes a PNG with one maze a run, side by side: logged paths in grey, the last checkpoint's paths on top.
+
+    Args:
+        run_directories: runs in a maze with recorded evaluations, in the order of the panels.
+        out: the file to write; its folder is made when missing.
+        names: panel headings; `None` takes the methods' names.
+        title: written above the panels.
+
+    Returns:
+        `out`.
+
+    Raises:
+        ConfigError: a run is not in a maze or kept no evaluation episodes, or the `report` extra is not installed.
+    """
+    check_extra()
+    from matplotlib.figure import Figure
+
+    from odaf.report import drawing, paths
+    from odaf.report.layout import maze_layout
+
+    runs = [read_run(directory) for directory in find_runs(run_directories)]
+    headings = list(names) if names is not None else labels(runs)
+    if len(headings) != len(runs):
+        raise ConfigError(f"maze_figure: {len(headings)} names for {len(runs)} runs; give one name a run")
+    figure = Figure(figsize=(3.6 * len(runs), 2.75 + (0.3 if title else 0)), layout="constrained", facecolor="white")
+    figure.supxlabel(_maze_legend(runs), fontsize=8, color=drawing.LIGHT.muted, parse_math=False)
+    for place, (run, heading) in enumerate(zip(runs, headings, strict=True)):
+        layout, learned = maze_layout(run.environment), paths.learned_paths(run)
+        if layout is None or learned is None:
+            what = "its data name no maze" if layout is None else "it kept no evaluation episodes"
+            raise ConfigError(f"{run.directory}: no paths to draw, {what}; train it with an evaluation in a maze")
+        axes = figure.add_subplot(1, len(runs), place + 1)
+        drawing.draw_maze(
+            axes, drawing.LIGHT, layout, paths.thinned(learned), paths.logged_paths(run), paths.best_path(run)
+        )
+        entry = score(run, heading)
+        under = f"mean return {drawing.plain_number(entry.mean)}" if entry.mean is not None else ""
+        if entry.stitched_rate is not None:
+            under += f"{', ' if under else ''}{100 * entry.stitched_rate:.0f} % stitch"
+        axes.set_title(heading, fontsize=11, fontweight="bold", color=drawing.LIGHT.ink, parse_math=False)
+        axes.text(
+            0.5, -0.03, under, transform=axes.transAxes, ha="center", va="top", fontsize=9, color=drawing.LIGHT.muted
+        )
+    if title:
+        figure.suptitle(title, fontsize=12, parse_math=False)
+    return _write(figure, out)
+
+
+def learning_curves_figure(
+    curves: Sequence[Curve],
+    out: Path,
+    references: Sequence[tuple[str, float]] = (),
+    title: str | None = None,
+    note: str | None = None,
+) -> Path:
+    """Writes a PNG of mean return over updates, a line a method with the range over its seeds.
+
+    Args:
+        curves: as `run_curves` gives them, or made from other records of scores.
+        out: the file to write; its folder is made when missing.
+        references: names and heights of horizontal lines, for example ("best logged", 72.6).
+        title: written above.
+        note: written below in small print, for example where the data came from.
+
+    Returns:
+        `out`.
+
+    Raises:
+        ConfigError: there are no curves, or the `report` extra is not installed.
+    """
+    check_extra()
+    from matplotlib.figure import Figure
+
+    from odaf.report import drawing
+
+    if not curves:
+        raise ConfigError(
+            "learning_curves_figure: no curves; train with an evaluation, so that there is a return to draw"
+        )
+    figure = Figure(figsize=(6.4, 4.0), layout="constrained", facecolor="white")
+    axes = figure.add_subplot()
+    drawing.draw_curves(axes, drawing.LIGHT, curves, references)
+    axes.set_ylabel("mean return", fontsize=8)
+    legend = figure.legend(
+        loc="outside upper left", ncols=min(len(curves), 3), frameon=False, fontsize=8.5, handlelength=3
+    )
+    for text in legend.get_texts():
+        text.set_parse_math(False)
+    if title:
+        axes.set_title(title, fontsize=12, parse_math=False)  # below the legend; a figure's own title would lie on it
+    if note:
+        figure.supxlabel(note, fontsize=7.5, color=drawing.LIGHT.muted, parse_math=False)
+    return _write(figure, out)
+
+
+def check_attack_figure(out: Path) -> None:
+    """Passes where `attack_figure` can write `out`, so that nothing is measured in vain.
+
+    Raises:
+        ConfigError: the name does not end in .svg or .png, or the `report` extra is not installed.
+    """
+    if Path(out).suffix not in (".svg", ".png"):
+        raise ConfigError(f"{out}: a picture is written as SVG or PNG; let the name end in .svg or .png")
+    check_extra()
+
+
+def attack_figure(curve: AttackCurve, out: Path, name: str) -> Path:
+    """Writes an SVG or PNG of return against budget: the mean over seeds, their range, and each of them.
+
+    Args:
+        curve: what was measured; drawn as normalised scores where the environment has reference returns.
+        out: the file to write, by its ending; its folder is made when missing.
+        name: whose curve it is.
+
+    Returns:
+        `out`.
+
+    Raises:
+        ConfigError: as `check_attack_figure`.
+    """
+    check_attack_figure(out)
+    from matplotlib.figure import Figure
+    from matplotlib.ticker import MaxNLocator
+
+    from odaf.environments.reference_returns import reference_of
+    from odaf.report import drawing
+
+    reference = None if curve.environment is None else reference_of(curve.environment)
+    values = np.array([[score.mean_return for score in scores.by_seed] for scores in curve.scores]).T
+    if reference is not None:
+        values = np.vectorize(reference.normalise)(values)
+    figure = Figure(figsize=(6.4, 4.0), layout="constrained", facecolor="white")
+    axes = figure.add_subplot()
+    drawing.draw_curves(axes, drawing.LIGHT, [Curve(name, np.array(curve.budgets), values, None, 0)])
+    axes.xaxis.set_major_locator(MaxNLocator(nbins=7))
+    axes.set_xlabel("largest offset of an observation, in standard deviations of the log", fontsize=8)
+    axes.set_ylabel("mean return" if reference is None else f"normalised score, {curve.environment}", fontsize=8)
+    axes.set_title(f"{name} under {curve.attack}", fontsize=12, parse_math=False)
+    return _write(figure, out)
+
+
+def run_curves(run_directories: Sequence[Path]) -> tuple[list[Curve], list[tuple[str, float]]]:
+    """Return curves of runs, and the logged best and mean as reference lines, for `learning_curves_figure`."""
+    check_extra()
+    from odaf.report import charts
+
+    runs = [read_run(directory) for directory in find_runs(run_directories)]
+    return charts.return_curves(runs, labels(runs)), charts.references(runs)
+
+
+def _maze_legend(runs: Sequence[RunRecord]) -> str:
+    parts = ["grey: logged episodes", "dotted: the best of them", "green: stitches", "purple, dashed: does not"]
+    return " · ".join(parts + sorted({run.origin for run in runs if run.origin}))
+
+
+def _write(figure: Any, out: Path) -> Path:
+    """By the ending of the name, SVG or PNG; equal figures give equal bytes."""
+    import matplotlib
+
+    out = Path(out)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    kind, nothing = ("svg", "Date") if out.suffix == ".svg" else ("png", "Software")
+    save = functools.partial(figure.savefig, format=kind, dpi=RESOLUTION, metadata={nothing: None})
+    with matplotlib.rc_context({"svg.hashsalt": out.name, "svg.fonttype": "none"}):
+        write_atomically(out, save)
+    return out

@@ -1,0 +1,1 @@
+"""Studies: what is measured with many runs, one resumable command each, and the ledger of their records."""

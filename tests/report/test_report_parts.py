@@ -1,0 +1,243 @@
+"""What the report is made of: reading, scores, settings, mazes, curves, and picture files."""
+
+import json
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from matplotlib.image import imread
+
+from odaf.errors import ConfigError
+from odaf.report import charts, drawing, figures, page
+from odaf.report.configuration import differences, flatten
+from odaf.report.layout import maze_layout
+from odaf.report.quantities import Curve, Trajectories
+from odaf.report.records import Evaluation, read_run
+from odaf.report.scores import episode_std, headline_index, labels, score
+
+MAZE = {
+    "name": "pointmaze",
+    "maze": {
+        "name": "stitch",
+        "rows": ["111111", "100111", "100001", "111111"],
+        "start": [1, 2],
+        "goal": [2, 4],
+        "avoid": [[1, 1], [2, 1]],
+    },
+}
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory, run_writer):
+    folder = tmp_path_factory.mktemp("runs")
+    return [
+        run_writer(folder / "odaf", "odaf", 121.0, 0.8),
+        run_writer(folder / "cloned", "behaviour-cloning", 41.0, 0.1, seeds=(0,), critic=False),
+    ]
+
+
+def evaluated(step, mean, std, returns=None):
+    returns = None if returns is None else np.asarray(returns, np.float64)
+    return Evaluation(step, mean, std, 2, None, None, returns)
+
+
+def test_spread_over_episodes_is_pooled_over_seeds():
+    # Seeds (1, 3) and (5, 7): the four returns have mean 4 and variance (9 + 1 + 1 + 9) / 4 = 5.
+    kept = [evaluated(1, 2.0, 1.0, [1, 3]), evaluated(1, 6.0, 1.0, [5, 7])]
+    assert episode_std(kept) == pytest.approx(np.sqrt(5.0))
+    without_returns = [evaluated(1, 2.0, 1.0), evaluated(1, 6.0, 1.0)]
+    assert episode_std(without_returns) == pytest.approx(np.sqrt(5.0))
+
+
+def test_score_reads_the_files_of_a_run(runs):
+    entry = score(read_run(runs[0]), "odaf")
+    summaries = [json.loads((runs[0] / f"seed-{seed}" / "summary.json").read_text()) for seed in (0, 1)]
+    assert entry.seed_means == tuple(summary["evaluation"]["mean_return"] for summary in summaries)
+    assert (entry.seeds, entry.evaluated, entry.episodes, entry.step) == (2, 2, 100, 20000)
+    assert entry.stitched_rate == pytest.approx(0.8)
+    assert entry.train_seconds == pytest.approx(325.5)
+    assert entry.status == "finished"
+    assert score(read_run(runs[1]), "cloned").interval is None
+
+
+def test_unfinished_seed_is_scored_by_its_newest_evaluation(run_writer, tmp_path):
+    run = run_writer(tmp_path / "run", seeds=(3,))
+    summary = json.loads((run / "seed-3" / "summary.json").read_text())
+    summary |= {"status": "running", "evaluation": {"step": 5000, "mean_return": 1.0, "episodes": 50}}
+    (run / "seed-3" / "summary.json").write_text(json.dumps(summary))
+    seed = read_run(run).seeds[0]
+    assert seed.status == "unfinished"
+    assert seed.evaluation is not None and seed.evaluation.step == 20000
+    assert seed.evaluation.mean > 100
+
+
+def test_later_line_of_a_step_replaces_the_earlier_one(run_writer, tmp_path):
+    run = run_writer(tmp_path / "run", seeds=(0,))
+    lines = [{"step": 1, "critic/mean": 5.0}, {"step": 2, "critic/mean": 6.0}, {"step": 1, "critic/mean": 7.0}]
+    (run / "seed-0" / "metrics.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
+    series = read_run(run).seeds[0].series["critic/mean"]
+    assert series.steps.tolist() == [1, 2]
+    assert series.values.tolist() == [7.0, 6.0]
+
+
+def test_headline_prefers_the_method_of_that_name(runs, run_writer, tmp_path):
+    odaf, cloned = (read_run(run) for run in runs)
+    without = read_run(run_writer(tmp_path / "without", "odaf-without-outcome", seeds=()))
+    assert headline_index([cloned, without, odaf]) == 2
+    assert headline_index([cloned, without]) == 1
+    assert headline_index([cloned]) == 0
+    assert labels([odaf, cloned, odaf]) == [f"odaf ({runs[0]})", "behaviour-cloning", f"odaf ({runs[0]})"]
+
+
+def test_settings_are_compared_name_by_name():
+    first = {"steps": 5, "algorithm": {"terms": [{"kind": "outcome", "weight": 0.3}], "sizes": [8, 8]}}
+    second = {"steps": 5, "algorithm": {"terms": [{"kind": "ood", "weight": 0.3}], "sizes": [8, 8]}, "seeds": [1]}
+    assert flatten(first)["algorithm.sizes"] == "[8, 8]"
+    assert dict(differences([first, second])) == {
+        "algorithm.terms[outcome].kind": ["outcome", "–"],
+        "algorithm.terms[outcome].weight": ["0.3", "–"],
+        "algorithm.terms[ood].kind": ["–", "ood"],
+        "algorithm.terms[ood].weight": ["–", "0.3"],
+        "seeds": ["–", "[1]"],
+    }
+    assert differences([first, first]) == []
+
+
+def test_maze_letters_stand_where_the_task_says():
+    layout = maze_layout(MAZE)
+    assert layout is not None
+    expected = {"S": (-0.5, 0.5), "M": (-0.5, -0.5), "G": (1.5, -0.5), "A": (-1.5, 0.5), "B": (-1.5, -0.5)}
+    assert dict(layout.names) == expected
+    assert len(layout.walls) == 24 - 6
+    assert maze_layout({"name": "gymnasium", "id": "Hopper-v5"}) is None
+    with pytest.raises(ConfigError, match="border"):
+        maze_layout({"name": "pointmaze", "maze": MAZE["maze"] | {"rows": ["000000", "100111", "100001", "111111"]}})
+
+
+def test_drawn_paths_are_the_recorded_ones():
+    layout = maze_layout(MAZE)
+    assert layout is not None
+    rng = np.random.default_rng(0)
+    positions = rng.normal(size=(20, 30, 2))
+    positions[3, 10:] = np.nan  # an episode that ended early
+    stitched = np.arange(20) % 4 == 3
+    axes = Figure().add_subplot()
+    drawing.draw_maze(axes, drawing.LIGHT, layout, Trajectories(positions, stitched), Trajectories(positions[:5]))
+    for colour, chosen in ((drawing.LIGHT.stitched, stitched), (drawing.LIGHT.detour, ~stitched)):
+        lines = [line for line in axes.lines if line.get_color() == colour]
+        paths = np.concatenate([np.column_stack(line.get_data()) for line in lines if line.get_linestyle() != "None"])
+        drawn = paths[np.isfinite(paths).all(axis=1)]
+        wanted = positions[chosen].reshape(-1, 2)
+        wanted = wanted[np.isfinite(wanted).all(axis=1)]
+        np.testing.assert_array_equal(np.sort(drawn, axis=0), np.sort(wanted, axis=0))
+        (ends,) = [np.column_stack(line.get_data()) for line in lines if line.get_linestyle() == "None"]
+        last = positions[:, -1].copy()
+        last[3] = positions[3, 9]
+        np.testing.assert_array_equal(ends, last[chosen])
+    grey = [line for line in axes.lines if line.get_color() == drawing.LIGHT.data]
+    points = np.concatenate([np.column_stack(line.get_data()) for line in grey])
+    assert np.isfinite(points).all(axis=1).sum() == np.isfinite(positions[:5]).all(axis=2).sum()
+
+
+def test_joined_paths_never_connect_two_episodes():
+    paths = np.arange(24.0).reshape(4, 3, 2)
+    lines = drawing._joined(paths, groups=3)
+    assert len(lines) == 3
+    np.testing.assert_array_equal(lines[0][:3], paths[0])
+    assert np.isnan(lines[0][3]).all()
+    np.testing.assert_array_equal(lines[0][4:7], paths[3])
+
+
+def test_curve_band_is_the_range_over_seeds_or_the_spread_over_episodes():
+    steps = np.array([1, 2, 3])
+    nan = np.nan
+    mean, low, high = drawing.band(Curve("m", steps, np.array([[1.0, 2.0, nan], [3.0, nan, nan]]), None, 0))
+    np.testing.assert_array_equal(mean, [2.0, 2.0, nan])
+    np.testing.assert_array_equal(low, [1.0, 2.0, nan])
+    np.testing.assert_array_equal(high, [3.0, 2.0, nan])
+    mean, low, high = drawing.band(Curve("m", steps, np.array([[1.0, 2.0, 3.0]]), np.array([0.5, 0.5, 1.0]), 0))
+    np.testing.assert_array_equal(low, [0.5, 1.5, 2.0])
+    np.testing.assert_array_equal(high, [1.5, 2.5, 4.0])
+
+
+def test_curves_of_seeds_with_different_steps_share_one_axis(runs):
+    curves = charts.return_curves([read_run(run) for run in runs], ["odaf", "cloned"])
+    assert [curve.values.shape for curve in curves] == [(2, 4), (1, 4)]
+    assert curves[0].steps.tolist() == [5000, 10000, 15000, 20000]
+    assert curves[0].spread is None and curves[1].spread is not None
+    assert [curve.index for curve in curves] == [0, 1]
+
+
+def test_critic_is_judged_against_what_the_rewards_allow(runs):
+    run = read_run(runs[0])
+    assert charts.allowed_range(run) == pytest.approx((0.0, 99.8))
+    low = Curve("m", np.array([1]), np.array([[-0.5]]), None, 0)
+    high = Curve("m", np.array([1]), np.array([[50.0]]), None, 0)
+    assert charts._stays_inside(low, high, (-1.0, 99.8)) == "Outputs from -0.5 to 50.0: inside what the rewards allow."
+    assert charts._stays_inside(low, high, (0.0, 45.0)).endswith("up to 5.00 outside what the rewards allow.")
+
+
+@pytest.mark.parametrize(
+    ("value", "short"),
+    [(0, "0"), (999, "999"), (1500, "1.5k"), (20000, "20k"), (3e6, "3M"), (-2000, "-2k"), (0.3, "0.3")],
+)
+def test_counts_are_written_short(value, short):
+    assert drawing.short_count(value) == short
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(1234.5, "1,234"), (121.34, "121.3"), (7.256, "7.26"), (0.01234, "0.0123"), (np.nan, "–"), (0.0, "0.0")],
+)
+def test_numbers_keep_the_digits_that_mean_something(value, text):
+    assert drawing.plain_number(value) == text
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (["/venv/bin/odaf", "train", "odaf", "--data", "a b.h5"], "odaf train odaf --data 'a b.h5'"),
+        (["/lib/odaf/__main__.py", "demo"], "python -m odaf demo"),
+        (["study.py", "--fast"], "python study.py --fast"),
+        (None, None),
+    ],
+)
+def test_command_is_ready_to_paste(runs, words, line):
+    run = read_run(runs[0])
+    object.__setattr__(run, "machine", {"command": words})
+    assert page.command(run) == line
+
+
+def test_maze_picture_holds_both_methods_and_the_log(runs, tmp_path):
+    out = figures.maze_figure(runs, tmp_path / "pictures" / "maze.png", names=["ODAF", "$cloning"], title="Two")
+    pixels = np.round(imread(out)[..., :3] * 255).astype(int)
+    left, right = np.array_split(pixels, 2, axis=1)
+
+    def amount(part, colour):
+        red, green, blue = (int(colour[place : place + 2], 16) for place in (1, 3, 5))
+        return int((np.abs(part - [red, green, blue]).max(axis=2) < 40).sum())
+
+    assert amount(left, drawing.LIGHT.stitched) > 2 * amount(right, drawing.LIGHT.stitched)
+    assert amount(right, drawing.LIGHT.detour) > 2 * amount(left, drawing.LIGHT.detour)
+    assert amount(pixels, drawing.LIGHT.wall) > 10000
+
+
+def test_maze_picture_refuses_runs_without_paths(run_writer, tmp_path):
+    run = run_writer(tmp_path / "run", seeds=(0,), data={"environment": False})
+    with pytest.raises(ConfigError, match=r"run: no paths to draw, its data name no maze"):
+        figures.maze_figure([run], tmp_path / "maze.png")
+    never = run_writer(tmp_path / "never", seeds=(0,), evaluated=False)
+    with pytest.raises(ConfigError, match=r"never: no paths to draw, it kept no evaluation episodes"):
+        figures.maze_figure([never], tmp_path / "maze.png")
+    with pytest.raises(ConfigError, match="2 names for 1 runs"):
+        figures.maze_figure([run], tmp_path / "maze.png", names=["one", "two"])
+
+
+def test_curves_picture_is_drawn_from_runs_or_from_numbers(runs, tmp_path):
+    curves, references = figures.run_curves(runs)
+    assert [name for name, _ in references] == ["best logged", "logged mean"]
+    assert references[0][1] == pytest.approx(72.63)
+    out = figures.learning_curves_figure(curves, tmp_path / "curves.png", references, note="locally generated data")
+    assert imread(out).shape[1] == round(6.4 * figures.RESOLUTION)
+    with pytest.raises(ConfigError, match="no curves"):
+        figures.learning_curves_figure([], tmp_path / "none.png")
