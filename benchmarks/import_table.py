@@ -41,6 +41,7 @@ def write(path: Path, rows: int) -> None:
 
 def import_file(path: Path, figures) -> None:
     """Reads, runs every check, builds; puts what it took into the queue `figures`."""
+    from odaf.data import Dataset
     from odaf.data.checks import check_log
     from odaf.data.readers import tables
 
@@ -59,7 +60,7 @@ def import_file(path: Path, figures) -> None:
     read = time.perf_counter() - began
     check_log(log)
     checked = time.perf_counter() - began
-    dataset = log.to_dataset()
+    dataset = Dataset.from_log(log)
     seconds = time.perf_counter() - began
     busy = time.process_time() - busy
     arrays = (dataset.observations, dataset.next_observations, dataset.actions, dataset.rewards)

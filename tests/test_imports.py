@@ -37,10 +37,10 @@ def room_of(module: str) -> str:
     return parts[1] if len(parts) > 1 else "__init__"
 
 
-def imported_modules(source: str, package: str) -> list[tuple[int, str]]:
+def imported_names(source: str, package: str) -> list[tuple[int, str]]:
     """Every import in the source, those inside functions too, as (line, absolute dotted name).
 
-    `from odaf import data` counts as `odaf.data`, because that is the module it loads.
+    `from odaf.data import storage` is `odaf.data.storage`, whether that is a module or a name that the module offers.
 
     Args:
         package: dotted name of the package that holds the source; relative imports start there.
@@ -54,10 +54,7 @@ def imported_modules(source: str, package: str) -> list[tuple[int, str]]:
             if node.level:
                 stem = package.split(".")[: len(package.split(".")) - node.level + 1]
                 base = ".".join([*stem, base] if base else stem)
-            if base == "odaf":
-                found += [(node.lineno, f"odaf.{alias.name}") for alias in node.names]
-            else:
-                found.append((node.lineno, base))
+            found += [(node.lineno, f"{base}.{alias.name}") for alias in node.names]
     return found
 
 
@@ -66,7 +63,7 @@ def wrong_arrows(source: str, module: str, *, is_package: bool = False) -> list[
     room = room_of(module)
     package = module if is_package else module.rpartition(".")[0]
     findings: list[str] = []
-    for line, target in imported_modules(source, package):
+    for line, target in imported_names(source, package):
         if not (target == "odaf" or target.startswith("odaf.")):
             continue
         other = room_of(target)
@@ -88,6 +85,41 @@ def modules() -> list[tuple[str, Path]]:
     return found
 
 
+def circles(sources: dict[str, tuple[str, bool]]) -> list[list[str]]:
+    """Groups of modules of which each leads to every other by imports, wherever in the file they stand.
+
+    Args:
+        sources: by dotted name: the source, and whether it is a package's `__init__`. An import of a name that is no
+            module here leads to the module that offers it; the packages above a module are not counted.
+    """
+
+    def module_of(name: str) -> str:
+        while name and name not in sources:
+            name = name.rpartition(".")[0]
+        return name
+
+    leads_to = {
+        module: {
+            module_of(name) for _, name in imported_names(source, module if is_package else module.rpartition(".")[0])
+        }
+        - {module, ""}
+        for module, (source, is_package) in sources.items()
+    }
+
+    def reachable(module: str) -> set[str]:
+        seen: set[str] = set()
+        waiting = [module]
+        while waiting:
+            new = leads_to[waiting.pop()] - seen
+            seen |= new
+            waiting += new
+        return seen
+
+    reached = {module: reachable(module) for module in sources}
+    groups = {tuple(sorted(other for other in seen if module in reached[other])) for module, seen in reached.items()}
+    return [list(group) for group in sorted(groups) if group]
+
+
 def test_every_module_lives_in_a_known_room():
     unknown = {room_of(name) for name, _ in modules()} - {*ORDER, *FRONT}
     assert not unknown, f"rooms without a place in the import order: {sorted(unknown)}"
@@ -101,6 +133,42 @@ def test_imports_point_one_way():
         for finding in wrong_arrows(path.read_text(), name, is_package=path.name == "__init__.py")
     ]
     assert not findings, "\n".join(findings)
+
+
+def test_no_files_import_each_other_in_a_circle():
+    # The fronts are looked through, not counted: `import odaf` loads names when they are first used.
+    sources = {
+        name: (path.read_text(), path.name == "__init__.py") for name, path in modules() if room_of(name) not in FRONT
+    }
+    found = circles(sources)
+    assert not found, "\n".join(" <-> ".join(group) for group in found)
+
+
+@pytest.mark.parametrize(
+    "back",
+    [
+        "from odaf.data import log",
+        "from odaf.data.log import Log",
+        "import odaf.data.log",
+        "from .log import Log",
+        "def late():\n    from odaf.data.log import Log",
+        "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from odaf.data.log import Log",
+        "from odaf.data.readers import read",
+    ],
+)
+def test_the_check_sees_a_planted_circle(back: str):
+    sources = {
+        "odaf.data": ("from odaf.data.dataset import Dataset", True),
+        "odaf.data.log": ("from odaf.data import assembly", False),
+        "odaf.data.assembly": ("from odaf.data.dataset import Dataset", False),
+        "odaf.data.dataset": (back, False),
+        "odaf.data.readers": ("from odaf.data.log import Log\ndef read(): ...", True),
+    }
+    (group,) = circles(sources)
+    assert {"odaf.data.assembly", "odaf.data.dataset", "odaf.data.log"} <= set(group)
+    assert not circles(
+        sources | {"odaf.data.dataset": ("import numpy as np\nfrom odaf.errors import OdafError", False)}
+    )
 
 
 @pytest.mark.parametrize(

@@ -145,7 +145,7 @@ def test_the_mixture_is_stored_and_part_of_the_fingerprint(tmp_path):
     plain, other = (dataclasses.replace(mixed, mixture=mixture) for mixture in (None, Mixture(100, 0.8)))
     assert len({data.fingerprint() for data in (mixed, plain, other)}) == 3
     assert "mixture" not in plain.summary()
-    assert open_log(tmp_path / "mixed.h5").to_dataset().mixture == mixed.mixture
+    assert Dataset.from_log(open_log(tmp_path / "mixed.h5")).mixture == mixed.mixture
 
 
 def test_only_a_file_with_a_mixture_needs_the_newer_format(tmp_path):

@@ -114,7 +114,7 @@ def info(arguments: list[str]) -> None:
         return
     print(describe(summary))
 
-    from odaf.data.checks import stored_report
+    from odaf.data.ingestion import stored_report
 
     if (stored := stored_report(dataset)) is not None:
         report, accepted = stored

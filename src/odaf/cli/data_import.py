@@ -36,11 +36,12 @@ def run(arguments: list[str]) -> None:
     options = parse(ImportOptions, arguments, "data import")
     require_file(options.file)
 
-    from odaf.data.checks import adopt, known, open_log
+    from odaf.data.checks import known, open_log
+    from odaf.data.ingestion import ingest
 
     log = open_log(options.file, options.format, **options.for_reader())
     with rows_bar("checking") as progress:
-        dataset, report = adopt(log, accept=options.accept, progress=progress)
+        dataset, report = ingest(log, accept=options.accept, progress=progress)
     if options.file.is_file():
         dataset = dataset.with_provenance(file_sha256=known.file_sha256(options.file))
     dataset.save(options.out)

@@ -1,15 +1,13 @@
 """From raw columns to the fields of a `Dataset`: what is completed on the way in, what its constructor insists on."""
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from odaf.data import episodes, validation
+from odaf.data.rows import Rows
 from odaf.errors import DatasetError
-
-if TYPE_CHECKING:
-    from odaf.data.dataset import Dataset
 
 _INFO = "infos/"
 
@@ -117,7 +115,7 @@ def _bounded_actions(
     return pair
 
 
-def checked(dataset: "Dataset", source: str) -> dict[str, Any]:
+def checked(dataset: Rows, source: str) -> dict[str, Any]:
     """The fields of a dataset that is being constructed, in their final types; nothing is completed here.
 
     Raises:

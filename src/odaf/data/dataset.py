@@ -2,26 +2,21 @@
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import InitVar, dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Literal
+from dataclasses import InitVar, dataclass, replace
+from typing import Any, Literal
 
 import numpy as np
 
 from odaf.data import assembly, fingerprint, splits, summary, validation
-from odaf.data.log import Log
-from odaf.data.mixture import Mixture
-from odaf.data.progress import Progress
-from odaf.data.spec import Spec
+from odaf.data.checks import Report, check_log
+from odaf.data.log import Log, whole
+from odaf.data.progress import Counter, Progress
+from odaf.data.rows import COLUMNS, Rows
 from odaf.errors import DatasetError
-
-if TYPE_CHECKING:
-    from odaf.data.checks import Report
-
-COLUMNS = ("observations", "actions", "rewards", "next_observations", "terminated", "truncated")
 
 
 @dataclass(frozen=True, eq=False)
-class Dataset:
+class Dataset(Rows):
     """N transitions of E whole episodes, in the user's units. Arrays are read-only and rows never cross an episode.
 
     Two ends are told apart. `terminated` means the task ended: no future reward exists after this row. `truncated`
@@ -31,41 +26,9 @@ class Dataset:
 
     Use `from_arrays` or `load`; the constructor takes columns that are already in final form and checks them.
 
-    Attributes:
-        observations: [N, obs_dim] float32.
-        actions: [N, act_dim] float32, within `action_low` and `action_high`.
-        rewards: [N] float32, earned by the action of the same row.
-        next_observations: [N, obs_dim] float32; a placeholder where `terminated` and no successor was logged.
-        terminated: [N] bool.
-        truncated: [N] bool.
-        episode_starts: [E] int64, the first row of each episode, ascending from 0.
-        action_low: [act_dim] float32.
-        action_high: [act_dim] float32.
-        observation_names: one per observation column.
-        action_names: one per action column.
-        provenance: JSON types only: where the rows came from, and under "findings" what was changed on the way in.
-        observation_units: one per observation column, for instance "m/s"; empty where none was given.
-        action_units: one per action column.
-        infos: further columns that learners do not see, by name: each [N, ...] numbers or bool, such as `qpos`.
-        mixture: how batches are mixed from two parts; None draws every row equally often. See `odaf.data.mixing`.
+    Attributes are those of `odaf.data.rows.Rows`: columns, episodes, action bounds, names, units and provenance.
     """
 
-    observations: np.ndarray
-    actions: np.ndarray
-    rewards: np.ndarray
-    next_observations: np.ndarray
-    terminated: np.ndarray
-    truncated: np.ndarray
-    episode_starts: np.ndarray
-    action_low: np.ndarray
-    action_high: np.ndarray
-    observation_names: tuple[str, ...]
-    action_names: tuple[str, ...]
-    provenance: dict[str, Any]
-    observation_units: tuple[str, ...] | None = None
-    action_units: tuple[str, ...] | None = None
-    infos: Mapping[str, np.ndarray] = field(default_factory=dict)
-    mixture: Mixture | None = None
     source: InitVar[str] = "Dataset"  # how messages name these rows
 
     def __post_init__(self, source: str):
@@ -206,7 +169,7 @@ class Dataset:
             source="Dataset.from_dataframe",
             **options,
         )
-        return log.to_dataset()
+        return cls.from_log(log)
 
     @classmethod
     def from_episodes(
@@ -245,7 +208,34 @@ class Dataset:
             action_units=given[3],
             provenance=dict(provenance or {}),
         )
-        return log.to_dataset()
+        return cls.from_log(log)
+
+    @classmethod
+    def from_log(cls, log: Log, progress: Progress | None = None) -> "Dataset":
+        """The rows that a reader of `odaf.data.readers` returned, as a dataset in memory.
+
+        Args:
+            log: the rows as their source holds them.
+            progress: told how far it has come, in values of columns read.
+
+        Raises:
+            DatasetError: as `from_arrays`.
+        """
+        wanted = {name: column for name, column in log.columns.items() if name != "time"}
+        counter = Counter(sum(len(column) for column in (*wanted.values(), *log.infos.values())), progress)
+        dataset = cls.from_arrays(
+            **{name: whole(column, counter) for name, column in wanted.items()},
+            action_bounds=log.action_bounds,
+            observation_names=log.observation_names,
+            action_names=log.action_names,
+            observation_units=log.observation_units,
+            action_units=log.action_units,
+            infos={name: whole(column, counter) for name, column in log.infos.items()},
+            provenance={**log.provenance, "format": log.format, "findings": list(log.findings)},
+            source=log.source,
+            row_numbers=log.row_numbers,
+        )
+        return dataset if log.mixture is None else replace(dataset, mixture=log.mixture, source=log.source)
 
     @classmethod
     def load(
@@ -275,7 +265,7 @@ class Dataset:
 
         given = {name: value for name, value in options.items() if value is not None}
         if format is not None or not storage.is_own_file(path):
-            return readers.read(path, format=format, **given).to_dataset(progress)
+            return cls.from_log(readers.read(path, format=format, **given), progress)
         with storage.opened(path) as (file, source):
             for option, value in given.items():
                 if value is not False:
@@ -283,7 +273,7 @@ class Dataset:
                         f"{source}: {option} applies to files in the D4RL layout and others like it, this is an odaf "
                         "dataset; leave the option out"
                     )
-            return storage.read(file, source, progress)
+            return cls(**storage.read(file, source, progress), source=source)
 
     def save(self, path: str | os.PathLike[str], progress: Progress | None = None) -> None:
         """Writes the dataset to one HDF5 file; a crash leaves either the old file or the new one, never a part.
@@ -296,67 +286,16 @@ class Dataset:
 
         storage.write(self, path, progress)
 
-    def __len__(self) -> int:
-        return len(self.rewards)
-
-    @property
-    def obs_dim(self) -> int:
-        return self.observations.shape[1]
-
-    @property
-    def act_dim(self) -> int:
-        return self.actions.shape[1]
-
-    @property
-    def num_episodes(self) -> int:
-        return len(self.episode_starts)
-
-    @property
-    def environment(self) -> dict[str, Any] | None:
-        """How to build the environment the data came from (see `odaf.environments.make`), or None if unknown."""
-        return self.provenance.get("environment")
-
-    def episode(self, index: int) -> slice:
-        """Rows of one episode; negative indices count from the end."""
-        if not -self.num_episodes <= index < self.num_episodes:
-            raise IndexError(f"episode {index} of {self.num_episodes}")
-        index %= self.num_episodes
-        stop = self.episode_starts[index + 1] if index + 1 < self.num_episodes else len(self)
-        return slice(int(self.episode_starts[index]), int(stop))
-
-    def episode_lengths(self) -> np.ndarray:
-        """[E] int64, steps."""
-        return np.append(self.episode_starts[1:], len(self)).astype(np.int64) - self.episode_starts
-
-    def episode_returns(self) -> np.ndarray:
-        """[E] float64, undiscounted sums of the logged rewards."""
-        return np.add.reduceat(self.rewards.astype(np.float64), self.episode_starts)
-
-    def spec(self) -> Spec:
-        """What a learner needs to size its networks and scale its actions."""
-        return Spec(
-            obs_dim=self.obs_dim,
-            act_dim=self.act_dim,
-            action_low=tuple(self.action_low.tolist()),
-            action_high=tuple(self.action_high.tolist()),
-            reward_min=float(self.rewards.min()),
-            reward_max=float(self.rewards.max()),
-            ever_terminates=bool(self.terminated.any()),
-            max_episode_length=int(self.episode_lengths().max()),
-        )
-
     def fingerprint(self) -> str:
         """SHA-256 (hex) over names, types, shapes and bytes of all arrays and the metadata; equal data, equal print."""
         return fingerprint.checksum(fingerprint.arrays_of(self), fingerprint.metadata(self))
 
-    def check(self) -> "Report":
+    def check(self) -> Report:
         """What may trouble learning from these rows, each with row numbers and a remedy; print it to see a table.
 
         Data sets of this class have passed what would be an error in a file; warnings and notes are left, and what was
         changed on the way in.
         """
-        from odaf.data.checks import check_log
-
         return check_log(self.to_log())
 
     def with_provenance(self, **entries: Any) -> "Dataset":
@@ -388,7 +327,7 @@ class Dataset:
 
     def select(self, chosen: Sequence[int] | np.ndarray) -> "Dataset":
         """A dataset of the episodes `chosen`, in that order; at least one, and of a mixture some of both parts."""
-        return splits.select(self, chosen)
+        return replace(self, **splits.selected(self, chosen), source="Dataset.select")
 
     def split(self, holdout: float = 0.2, seed: int = 0) -> tuple["Dataset", "Dataset"]:
         """(train, holdout): whole episodes, drawn without replacement; both parts keep the order of the log.
@@ -397,4 +336,8 @@ class Dataset:
             holdout: share of the episodes to set aside, in (0, 1); rounded, at least one episode on each side.
             seed: the same seed sets the same episodes aside.
         """
-        return splits.split(self, holdout, seed)
+        train, held = (
+            self.select(chosen).with_provenance(split={"part": name, "holdout": holdout, "seed": seed})
+            for name, chosen in splits.drawn(self.num_episodes, holdout, seed).items()
+        )
+        return train, held

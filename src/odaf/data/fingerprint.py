@@ -3,12 +3,11 @@
 import hashlib
 import json
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from odaf.data.dataset import Dataset
+from odaf.data.rows import Rows
 
 # Arrays of `Dataset` in their order, with the type and the number of axes that a file holds them in.
 FIELDS = {
@@ -26,7 +25,7 @@ TEXTS = ("observation_names", "action_names", "observation_units", "action_units
 PIECE = 2**24  # bytes that are worked on at a time
 
 
-def arrays_of(dataset: "Dataset") -> dict[str, np.ndarray]:
+def arrays_of(dataset: Rows) -> dict[str, np.ndarray]:
     """Every array of the file, in its order: those of `Dataset`, then its infos by name."""
     arrays = {name: getattr(dataset, name) for name in FIELDS}
     return arrays | {f"infos/{name}": dataset.infos[name] for name in sorted(dataset.infos)}
@@ -37,7 +36,7 @@ def stored_dtype(name: str, array: np.ndarray) -> np.dtype:
     return np.dtype(FIELDS[name][0]) if name in FIELDS else array.dtype.newbyteorder("<")
 
 
-def metadata(dataset: "Dataset") -> str:
+def metadata(dataset: Rows) -> str:
     """Column names, provenance and mixture as canonical JSON: sorted keys, no spaces."""
     content: dict[str, Any] = {field: list(getattr(dataset, field)) for field in TEXTS}
     content["provenance"] = dataset.provenance

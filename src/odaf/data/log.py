@@ -1,21 +1,18 @@
 """Logged rows as their source holds them, before any judgement: what every reader returns.
 
 A reader finds columns and says what they mean; it neither repairs nor drops. `odaf.data.checks` judges a log,
-`to_dataset` turns it into a `Dataset` or refuses it.
+`Dataset.from_log` turns it into a `Dataset` or refuses it.
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+from dataclasses import dataclass, field
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
 from odaf.data.mixture import Mixture
-from odaf.data.progress import Counter, Progress
+from odaf.data.progress import Counter
 from odaf.data.validation import Bounds, RowNumbers
-
-if TYPE_CHECKING:
-    from odaf.data.dataset import Dataset
 
 REQUIRED = ("observations", "actions", "rewards")
 OPTIONAL = ("next_observations", "terminated", "truncated", "episode", "time")
@@ -81,36 +78,8 @@ class Log:
         for first in range(0, len(self), rows):
             yield first, {name: np.asarray(column[first : first + rows]) for name, column in self.columns.items()}
 
-    def to_dataset(self, progress: Progress | None = None) -> "Dataset":
-        """The log as a dataset in memory.
 
-        Args:
-            progress: told how far it has come, in values of columns read.
-
-        Raises:
-            DatasetError: as `Dataset.from_arrays`.
-        """
-        from odaf.data.dataset import Dataset
-
-        wanted = {name: column for name, column in self.columns.items() if name != "time"}
-        counter = Counter(sum(len(column) for column in (*wanted.values(), *self.infos.values())), progress)
-        arrays = {name: _whole(column, counter) for name, column in wanted.items()}
-        dataset = Dataset.from_arrays(
-            **arrays,
-            action_bounds=self.action_bounds,
-            observation_names=self.observation_names,
-            action_names=self.action_names,
-            observation_units=self.observation_units,
-            action_units=self.action_units,
-            infos={name: _whole(column, counter) for name, column in self.infos.items()},
-            provenance={**self.provenance, "format": self.format, "findings": list(self.findings)},
-            source=self.source,
-            row_numbers=self.row_numbers,
-        )
-        return dataset if self.mixture is None else replace(dataset, mixture=self.mixture, source=self.source)
-
-
-def _whole(column: Column, counter: Counter) -> np.ndarray:
+def whole(column: Column, counter: Counter) -> np.ndarray:
     """The column in memory; an array as it is, because a slice of it would look as if somebody else could change it."""
     if type(column) is np.ndarray:
         counter.add(len(column))

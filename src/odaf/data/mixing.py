@@ -11,8 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from odaf.data.dataset import COLUMNS, Dataset
+from odaf.data.dataset import Dataset
 from odaf.data.mixture import Mixture
+from odaf.data.rows import COLUMNS
 from odaf.errors import DatasetError
 
 COMMON = ("observation_names", "action_names", "observation_units", "action_units")

@@ -1,22 +1,17 @@
 """Whole episodes chosen from a data set, and set aside."""
 
 from collections.abc import Sequence
-from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from odaf.data.mixture import Mixture
+from odaf.data.rows import COLUMNS, Rows
 from odaf.errors import DatasetError
 
-if TYPE_CHECKING:
-    from odaf.data.dataset import Dataset
 
-
-def select(dataset: "Dataset", chosen: Sequence[int] | np.ndarray) -> "Dataset":
-    """The episodes `chosen`, in that order; see `Dataset.select`."""
-    from odaf.data.dataset import COLUMNS
-
+def selected(dataset: Rows, chosen: Sequence[int] | np.ndarray) -> dict[str, Any]:
+    """What `Dataset.select` changes: columns, infos, mixture and first rows of the episodes `chosen`, in that order."""
     slices = [dataset.episode(int(index)) for index in chosen]
     if not slices:
         raise DatasetError("Dataset.select: no episode was chosen; a dataset needs at least one")
@@ -25,10 +20,10 @@ def select(dataset: "Dataset", chosen: Sequence[int] | np.ndarray) -> "Dataset":
     columns: dict[str, Any] = {name: getattr(dataset, name)[rows] for name in COLUMNS}
     columns["mixture"] = _mixture(dataset, slices)
     columns["infos"] = {name: values[rows] for name, values in dataset.infos.items()}
-    return replace(dataset, **columns, episode_starts=np.cumsum(lengths) - lengths, source="Dataset.select")
+    return {**columns, "episode_starts": np.cumsum(lengths) - lengths}
 
 
-def _mixture(dataset: "Dataset", slices: list[slice]) -> Mixture | None:
+def _mixture(dataset: Rows, slices: list[slice]) -> Mixture | None:
     """The mixture of the chosen episodes: the same ratio, with the border where their second part begins."""
     mixture = dataset.mixture
     if mixture is None:
@@ -44,17 +39,12 @@ def _mixture(dataset: "Dataset", slices: list[slice]) -> Mixture | None:
     return Mixture(border, mixture.ratio)
 
 
-def split(dataset: "Dataset", holdout: float, seed: int) -> tuple["Dataset", "Dataset"]:
-    """(train, holdout): whole episodes, drawn without replacement; see `Dataset.split`."""
+def drawn(num_episodes: int, holdout: float, seed: int) -> dict[str, np.ndarray]:
+    """Episodes in `train` and in `holdout`, ascending, drawn without replacement; see `Dataset.split`."""
     if not 0.0 < holdout < 1.0:
         raise DatasetError(f"Dataset.split: holdout is {holdout}; give a share between 0 and 1, for instance 0.2")
-    if dataset.num_episodes < 2:
+    if num_episodes < 2:
         raise DatasetError("Dataset.split: one episode cannot be split into whole episodes; log more of them")
-    count = min(max(round(holdout * dataset.num_episodes), 1), dataset.num_episodes - 1)
-    order = np.random.default_rng(seed).permutation(dataset.num_episodes)
-    parts = {"train": np.sort(order[count:]), "holdout": np.sort(order[:count])}
-    train, held = (
-        select(dataset, chosen).with_provenance(split={"part": name, "holdout": holdout, "seed": seed})
-        for name, chosen in parts.items()
-    )
-    return train, held
+    count = min(max(round(holdout * num_episodes), 1), num_episodes - 1)
+    order = np.random.default_rng(seed).permutation(num_episodes)
+    return {"train": np.sort(order[count:]), "holdout": np.sort(order[:count])}

@@ -12,26 +12,24 @@ import json
 import os
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import h5py
 import numpy as np
 
 from odaf.data import fingerprint
 from odaf.data.fingerprint import FIELDS, TEXTS
+from odaf.data.log import Log
 from odaf.data.mixture import Mixture
 from odaf.data.progress import Counter, Progress
+from odaf.data.rows import Rows
 from odaf.errors import DatasetError
-
-if TYPE_CHECKING:
-    from odaf.data.dataset import Dataset
-    from odaf.data.log import Log
 
 FORMAT = "odaf-dataset"
 VERSION = 2
 
 
-def write(dataset: "Dataset", path: str | os.PathLike[str], progress: Progress | None = None) -> None:
+def write(dataset: Rows, path: str | os.PathLike[str], progress: Progress | None = None) -> None:
     """Writes `dataset` to `path` through a temporary file beside it that is renamed when complete.
 
     Args:
@@ -150,8 +148,8 @@ def is_own_file(path: str | os.PathLike[str]) -> bool:
         return is_own(file, source)
 
 
-def read(file: h5py.File, source: str, progress: Progress | None = None) -> "Dataset":
-    """The dataset in an open file of our own format.
+def read(file: h5py.File, source: str, progress: Progress | None = None) -> dict[str, Any]:
+    """The fields of the `Dataset` in an open file of our own format, as its constructor takes them.
 
     Args:
         file: the open file.
@@ -159,10 +157,8 @@ def read(file: h5py.File, source: str, progress: Progress | None = None) -> "Dat
         progress: told how far it has come, in bytes read and bytes summed.
 
     Raises:
-        DatasetError: a newer version, a missing or odd field, a wrong checksum, or rows that fail a check.
+        DatasetError: a newer version, a missing or odd field, or a wrong checksum.
     """
-    from odaf.data.dataset import Dataset
-
     stored = _stored_checksum(file, source)
     with reading(source):
         infos = [f"infos/{name}" for name in _info_names(file, source)]
@@ -181,10 +177,10 @@ def read(file: h5py.File, source: str, progress: Progress | None = None) -> "Dat
         array.setflags(write=False)  # nobody else holds them, so the dataset may keep them uncopied
     own = {name: arrays[name] for name in FIELDS}
     extra = {name.removeprefix("infos/"): arrays[name] for name in infos}
-    return Dataset(**own, **names, infos=extra, provenance=provenance, source=source)
+    return {**own, **names, "infos": extra, "provenance": provenance}
 
 
-def open_log(path: str | os.PathLike[str]) -> "Log":
+def open_log(path: str | os.PathLike[str]) -> Log:
     """The rows of a file of our own format, memory-mapped: only what is looked at is read.
 
     The checksum is compared in one pass over the file, whose pages need not stay in memory.
@@ -192,8 +188,6 @@ def open_log(path: str | os.PathLike[str]) -> "Log":
     Raises:
         DatasetError: as `read`, but for the rows, which nobody has looked at yet.
     """
-    from odaf.data.log import Log
-
     with opened(path) as (file, source):
         if not is_own(file, source):
             raise DatasetError(f"{source}: no attribute 'format', so this is no odaf dataset; name its layout")

@@ -1,14 +1,12 @@
 """What a data set holds, in JSON types: for `odaf data info`, the run directory and the report."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from odaf.data import validation
-
-if TYPE_CHECKING:
-    from odaf.data.dataset import Dataset
+from odaf.data.rows import Rows
 
 
-def summarise(dataset: "Dataset") -> dict[str, Any]:
+def summarise(dataset: Rows) -> dict[str, Any]:
     """Counts, returns, names, bounds and provenance; see `Dataset.summary`."""
     returns, lengths = dataset.episode_returns(), dataset.episode_lengths()
     mixture = dataset.mixture

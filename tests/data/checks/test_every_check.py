@@ -256,10 +256,10 @@ HELD_ALL_THE_SAME = {"choices", "one-hot choices", "time twice", "time backwards
 def test_what_has_no_error_becomes_a_dataset_and_what_has_one_does_not(name: str):
     log = spoiled(name)
     if check_log(log).usable:
-        log.to_dataset()
+        Dataset.from_log(log)
     elif name not in HELD_ALL_THE_SAME:
         with pytest.raises((DatasetError, TypeError)):
-            log.to_dataset()
+            Dataset.from_log(log)
 
 
 def test_rows_are_numbered_as_in_the_source():
@@ -300,7 +300,7 @@ def test_what_the_reader_decided_is_in_the_report():
 
 @pytest.fixture
 def own(tmp_path):
-    healthy.log(drop=("time",)).to_dataset().save(tmp_path / "log.h5")
+    Dataset.from_log(healthy.log(drop=("time",))).save(tmp_path / "log.h5")
     return tmp_path / "log.h5"
 
 

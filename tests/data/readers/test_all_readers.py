@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from data.readers.layouts import LAYOUTS, LOSES_LAST, OTHERS, episodes_of
-from odaf.data import readers
+from odaf.data import Dataset, readers
 from odaf.errors import DatasetError
 
 
@@ -48,7 +48,7 @@ def test_successors_are_the_recorded_ones_and_stay_inside_episodes(tmp_path_fact
     episodes = episodes_of(lengths, seed)
     log = read(write(tmp_path_factory.mktemp("any"), episodes), **options)
     assert log.format == name.split("-")[0]
-    assert_recorded(name, log.to_dataset(), episodes)
+    assert_recorded(name, Dataset.from_log(log), episodes)
     blocks = [columns for _, columns in log.blocks(block)]
     for field, column in log.columns.items():
         np.testing.assert_array_equal(np.concatenate([columns[field] for columns in blocks]), column[:])
@@ -170,7 +170,7 @@ def watch():
 def attempt(path, options, layout):
     """Reads a file as a user would; the layout is named in every second attempt, as if it had not been recognised."""
     with contextlib.suppress(DatasetError):
-        readers.read(path, format=layout, **options).to_dataset()
+        Dataset.from_log(readers.read(path, format=layout, **options))
         return True
     return False
 

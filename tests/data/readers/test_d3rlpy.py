@@ -34,7 +34,7 @@ def write(tmp_path):
 def test_cut_episode_loses_its_last_row_and_a_finished_one_does_not(write):
     log = readers.read(write())
     assert len(log) == 8 and not isinstance(log.columns["observations"], np.ndarray)
-    dataset = log.to_dataset()
+    dataset = Dataset.from_log(log)
     np.testing.assert_array_equal(dataset.observations, np.array([0, 1, 2, 3, 4, 5, 7])[:, None] * [1, 10])
     np.testing.assert_array_equal(dataset.next_observations[:, 0], [1, 2, 2, 4, 5, 6, 7])
     np.testing.assert_array_equal(dataset.rewards, [0, -1, -2, -3, -4, -5, -7])

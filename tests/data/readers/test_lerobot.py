@@ -6,6 +6,7 @@ import numpy as np
 import polars as pl
 import pytest
 
+from odaf.data import Dataset
 from odaf.data.readers import lerobot
 from odaf.errors import DatasetError
 
@@ -74,7 +75,7 @@ def test_both_layouts_give_the_same_log(version, tmp_path):
     assert log.provenance["robot_type"] == "arm" and log.provenance["time_step"] == 0.1
     assert log.observation_names == ("x", "y") and log.action_names == ("left", "right")
     assert log.action_units == ("rad", "rad")
-    dataset = log.to_dataset()
+    dataset = Dataset.from_log(log)
     # Episode 1 was not done: its last frame, the seventh of all, has no successor.
     np.testing.assert_array_equal(dataset.observations[:, 0], np.delete(np.arange(12), 6))
     np.testing.assert_array_equal(dataset.rewards, np.delete(np.arange(12) + 0.5, 6))
@@ -98,24 +99,24 @@ def test_no_reward_needs_a_choice(tmp_path):
     path = folder(tmp_path / "arm", frames(**{"next.reward": None}), 3.0)
     with pytest.raises(DatasetError, match=r"has no column 'next.reward'.*pass reward=.*0\.0 for cloning; there"):
         lerobot.read(path)
-    assert not lerobot.read(path, reward=0.0).to_dataset().rewards.any()
+    assert not Dataset.from_log(lerobot.read(path, reward=0.0)).rewards.any()
     np.testing.assert_array_equal(lerobot.read(path, reward="index").columns["rewards"][:, 0], np.arange(12))
 
 
 def test_a_flag_that_only_marks_every_end_is_doubted(tmp_path):
     done = np.isin(np.arange(12), [3, 6, 11])
     log = lerobot.read(folder(tmp_path / "arm", frames(**{"next.done": done}), 2.1))
-    assert findings(log.to_dataset())["done-at-every-end"] == 3
+    assert findings(Dataset.from_log(log))["done-at-every-end"] == 3
 
 
 def test_a_missing_file_is_told_from_the_count_and_a_gap_from_the_clock(tmp_path):
     path = folder(tmp_path / "arm", frames(), 2.1)
     (path / "data" / "chunk-000" / "episode_000001.parquet").unlink()
-    found = findings(lerobot.read(path).to_dataset())
+    found = findings(Dataset.from_log(lerobot.read(path)))
     assert found["frames-missing"] == 3 and "time-gaps" not in found
     table = frames().filter(pl.col("index") != 9)
     log = lerobot.read(folder(tmp_path / "gap", table, 2.1))
-    assert findings(log.to_dataset())["time-gaps"] == 1
+    assert findings(Dataset.from_log(log))["time-gaps"] == 1
     with pytest.raises(DatasetError, match="rows are missing after row 8"):
         lerobot.read(tmp_path / "gap", on_gap="error")
 
@@ -128,7 +129,7 @@ def test_names_that_two_columns_share_are_told_apart(tmp_path):
     log = lerobot.read(path, observations=["observation.state", "observation.goal"], action_bounds={"action": (-1, 1)})
     assert log.observation_names == tuple(f"observation.{part}.{axis}" for part in ("state", "goal") for axis in "xy")
     assert log.action_names == ("action_0", "action_1")
-    assert log.to_dataset().action_high.tolist() == [1.0, 1.0]
+    assert Dataset.from_log(log).action_high.tolist() == [1.0, 1.0]
 
 
 @pytest.mark.parametrize(

@@ -79,7 +79,7 @@ def test_every_form_gives_the_same_log(form, tmp_path):
         assert log.format == "frame"
     check_tank(log)
     assert log.provenance["columns_not_read"] == ["time", "note"] and log.provenance["rows_in_file"] == 10
-    dataset = log.to_dataset()
+    dataset = Dataset.from_log(log)
     assert len(dataset) == 9  # the last row of batch 0 has no successor
     assert findings(dataset) == {
         "unfinished-episodes": 1,
@@ -222,7 +222,7 @@ def test_units_from_headings_only_when_asked(tmp_path):
     path = csv_file(tmp_path, text)
     log = tables.read(path, **ROLES, units="headings", action_bounds=BOUNDS)
     assert log.observation_names == ("level", "flow") and log.observation_units == ("m", "m³/s")
-    assert log.action_units == ("%",) and log.to_dataset().action_high.tolist() == [100.0]
+    assert log.action_units == ("%",) and Dataset.from_log(log).action_high.tolist() == [100.0]
     with pytest.raises(DatasetError, match="column 'level' not found; did you mean 'level"):
         tables.read(path, **ROLES)
     frame = pl.read_csv(path)
@@ -246,7 +246,7 @@ def test_lists_in_cells_become_columns(tmp_path):
     np.testing.assert_array_equal(column(log, "observations"), np.arange(1.0, 10.0).reshape(3, 3))
     np.testing.assert_array_equal(column(log, "actions"), np.arange(6.0).reshape(3, 2))
     assert log.observation_names == ("state_0", "state_1", "state_2") and log.action_names == ("action_0", "action_1")
-    dataset = log.to_dataset()
+    dataset = Dataset.from_log(log)
     assert len(dataset) == 3 and dataset.action_low.tolist() == [-9.0, -9.0]
     mapping = {"state": np.arange(9.0).reshape(3, 3), "action": np.zeros((3, 2)), "profit": [0.0, 1.0, 2.0]}
     assert tables.from_frame(mapping, **roles).columns["observations"].shape == (3, 3)
@@ -278,7 +278,7 @@ def test_missing_cells_can_be_kept_as_nan(tmp_path):
 
 
 def test_infos_are_kept_beside_the_rows():
-    dataset = tables.from_frame(tank(), **ROLES, infos=["time"], action_bounds=BOUNDS).to_dataset()
+    dataset = Dataset.from_log(tables.from_frame(tank(), **ROLES, infos=["time"], action_bounds=BOUNDS))
     np.testing.assert_array_equal(dataset.infos["time"], np.tile([0.0, 0.5, 1.0, 1.5], 2))
 
 
@@ -435,6 +435,6 @@ def test_what_is_no_table_is_refused(tmp_path):
 
 def test_arrays_of_a_log_are_shared_with_the_dataset_not_copied():
     log = tables.from_frame(tank(), **ROLES, next_observations=["flow", "level"], action_bounds=BOUNDS)
-    dataset = log.to_dataset()
+    dataset = Dataset.from_log(log)
     assert np.shares_memory(dataset.observations, column(log, "observations"))
     assert not dataset.observations.flags.writeable

@@ -6,6 +6,7 @@ import numpy as np
 import polars as pl
 import pytest
 
+from odaf.data import Dataset
 from odaf.data.readers import lerobot, tables
 from odaf.errors import ConfigError, DatasetError
 
@@ -131,7 +132,7 @@ def save(frame: pl.DataFrame, path) -> None:
 def attempt(read) -> bool:
     """Whether a dataset came out; then it is sound. Anything but our own errors goes through."""
     try:
-        dataset = read().to_dataset()
+        dataset = Dataset.from_log(read())
     except (DatasetError, ConfigError) as error:
         assert len(str(error)) < 5_000
         return False

@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from odaf.data import Dataset
 from odaf.data.checks import check_log
 from odaf.data.readers import tables
 from odaf.errors import DatasetError
@@ -39,7 +40,7 @@ def test_an_episode_ends_where_rows_are_missing():
     np.testing.assert_array_equal(column(log, "episode"), [0, 0, 0, 1, 1, 1, 2, 2, 2])
     gap = found(log)["time-gaps"]
     assert gap["count"] == 1 and "after row 2; there the next row is 0.3 later, usual is 0.1" in gap["message"]
-    dataset = log.to_dataset()
+    dataset = Dataset.from_log(log)
     # Rows 2, 5 and 8 have no successor: 3 is not what follows 2.
     np.testing.assert_array_equal(dataset.observations[:, 0], [0, 1, 3, 4, 6, 7])
     np.testing.assert_array_equal(dataset.next_observations[:, 0], [1, 2, 4, 5, 7, 8])
@@ -65,7 +66,7 @@ def test_gaps_without_ids_and_beside_other_ends():
     log = read(log_of(None, [0, 1, 2, 5, 6, 0, 1, 9], end=ends), episode=None, terminated="end", time_step=1.0)
     assert "episode" not in log.columns
     np.testing.assert_array_equal(column(log, "truncated"), np.isin(np.arange(8), [2, 6]))
-    dataset = log.to_dataset()
+    dataset = Dataset.from_log(log)
     np.testing.assert_array_equal(dataset.observations[:, 0], [0, 1, 3, 4, 5])
     np.testing.assert_array_equal(dataset.terminated, [False, False, False, True, False])
     assert dataset.num_episodes == 3
@@ -77,17 +78,17 @@ def test_gaps_without_ids_and_beside_other_ends():
 def test_a_task_that_ended_before_a_gap_was_not_cut():
     log = read(log_of([0] * 4, [0, 1, 9, 10], end=[False, True, False, False]), terminated="end", time_step=1.0)
     assert not column(log, "truncated").any()
-    np.testing.assert_array_equal(log.to_dataset().terminated, [False, True, False])
+    np.testing.assert_array_equal(Dataset.from_log(log).terminated, [False, True, False])
 
 
 def test_a_constant_makes_one_episode():
     log = read(log_of(None, [0, 1, 2, 3]), episode=0)
-    assert column(log, "episode").tolist() == [0, 0, 0, 0] and log.to_dataset().num_episodes == 1
+    assert column(log, "episode").tolist() == [0, 0, 0, 0] and Dataset.from_log(log).num_episodes == 1
 
 
 def test_logged_successors_survive_a_gap():
     frame = log_of([0] * 5, [0, 1, 2, 9, 10], after=[1.0, 2.0, 2.5, 4.0, 5.0])
-    dataset = read(frame, next_observations=["after"]).to_dataset()
+    dataset = Dataset.from_log(read(frame, next_observations=["after"]))
     assert len(dataset) == 5 and dataset.next_observations[2, 0] == 2.5 and dataset.truncated[2]
 
 
@@ -131,7 +132,7 @@ def test_sorting_repairs_the_order_and_says_so():
     assert column(log, "observations")[:, 0].tolist() == [1, 3, 4, 0, 2]
     assert np.asarray(log.infos["source_row"]).tolist() == [1, 3, 4, 0, 2]
     assert found(log)["rows-sorted"]["count"] == 5
-    assert log.to_dataset().num_episodes == 2
+    assert Dataset.from_log(log).num_episodes == 2
     ordered = frame.sort("batch", "time")
     assert read(ordered, sort_by=["batch", "time"]).findings == ()
     # Rows logged twice stay a mistake, and are named as in the source.
@@ -183,9 +184,9 @@ def test_successors_are_the_recorded_ones_and_never_of_another_episode(form, tmp
     usable = sorted(row[2] for row in rows if row[3] or (row[0], row[1] + 1) in moments)
     if not usable:
         with pytest.raises(DatasetError, match="none has a successor"):
-            log.to_dataset()
+            Dataset.from_log(log)
         return
-    dataset = log.to_dataset()
+    dataset = Dataset.from_log(log)
     level, after = dataset.observations[:, 0], dataset.next_observations[:, 0]
     assert sorted(level.tolist()) == usable
     assert set(level[dataset.terminated].tolist()) == ended
@@ -202,7 +203,7 @@ def test_rows_of_a_sorted_file_are_named_by_their_place_in_it(tmp_path):
     (tmp_path / "log.csv").write_text("\n".join(lines) + "\n")
     options = {**ROLES, "episode": "batch", "time": "time", "sort_by": ["batch", "time"]}
     log = tables.read(tmp_path / "log.csv", **options)
-    findings = {entry["finding"]: entry["message"] for entry in log.to_dataset().provenance["findings"]}
+    findings = {entry["finding"]: entry["message"] for entry in Dataset.from_log(log).provenance["findings"]}
     assert findings["dropped-without-successor"].endswith("2 of 6 rows, the first of them 5, 2")
     assert findings["unfinished-episodes"].endswith("2 of 6 rows, the first of them 5, 2")
     spoiled = (tmp_path / "log.csv").read_text().replace("1,1.0,11,0.5,1", "1,1.0,11,7.5,1")  # in row 3
@@ -211,4 +212,4 @@ def test_rows_of_a_sorted_file_are_named_by_their_place_in_it(tmp_path):
     (finding,) = (entry for entry in check_log(log).findings if entry.check == "actions-outside-bounds")
     assert finding.rows == (3,)
     with pytest.raises(DatasetError, match="leaves its bounds in row 3: column 0 is 7.5 in row 3"):
-        log.to_dataset()
+        Dataset.from_log(log)

@@ -4,8 +4,7 @@
 finding means for learning is told in docs/usable.md.
 """
 
-from odaf.data.checks.adopt import adopt, stored_report
 from odaf.data.checks.findings import Finding, Report
 from odaf.data.checks.run import check_file, check_log, open_log
 
-__all__ = ["Finding", "Report", "adopt", "check_file", "check_log", "open_log", "stored_report"]
+__all__ = ["Finding", "Report", "check_file", "check_log", "open_log"]

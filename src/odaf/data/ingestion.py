@@ -9,7 +9,7 @@ from odaf.data.log import Log
 from odaf.data.progress import Progress
 
 
-def adopt(log: Log, *, accept: Sequence[str] = (), progress: Progress | None = None) -> tuple[Dataset, Report]:
+def ingest(log: Log, *, accept: Sequence[str] = (), progress: Progress | None = None) -> tuple[Dataset, Report]:
     """Checks a log and makes a data set of it, which keeps the report under `provenance["validation"]`.
 
     Args:
@@ -22,14 +22,14 @@ def adopt(log: Log, *, accept: Sequence[str] = (), progress: Progress | None = N
     """
     report = check_log(log, progress=progress)
     report.require_usable(accept)
-    dataset = log.to_dataset()
+    dataset = Dataset.from_log(log)
     content = report.to_dict()
     validation = {"verdict": report.verdict(), "findings": content["findings"], "accepted": list(accept)}
     return dataset.with_provenance(validation=validation), report
 
 
 def stored_report(dataset: Dataset) -> tuple[Report, tuple[str, ...]] | None:
-    """The report that `adopt` left in a data set, and the checks whose errors were accepted; None where there is none.
+    """The report that `ingest` left in a data set, and the checks whose errors were accepted; None where there is none.
 
     Its rows are numbered as in the source of that time. What is in `provenance["findings"]` too is left out.
     """
