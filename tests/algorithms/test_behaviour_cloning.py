@@ -44,7 +44,7 @@ def test_training_finds_a_policy_that_can_be_cloned():
     state = train(_initial(learner))
     assert int(state.step) == 500
     assert float(cloning_loss(state.actor, batch)) < 1e-3  # 0.4 before training
-    np.testing.assert_allclose(learner.act(state, batch.observations), wanted, atol=0.15)
+    np.testing.assert_allclose(learner.actor(state).mode(batch.observations), wanted, atol=0.15)
 
 
 def test_one_key_gives_one_course_of_training_bit_for_bit():

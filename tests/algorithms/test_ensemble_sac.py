@@ -214,7 +214,7 @@ def test_the_policy_is_the_squashed_mean_of_the_deployed_actor(deployed):
     learner = _learner(deployed_actor=deployed)
     state, states = tiny.state_of(learner), tiny.batch().observations
     actor = state.actor if deployed == "current" else state.slow_actor
-    np.testing.assert_allclose(learner.act(state, states), networks.mode(actor, states), rtol=1e-4, atol=1e-6)
+    np.testing.assert_allclose(learner.actor(state).mode(states), networks.mode(actor, states), rtol=1e-4, atol=1e-6)
 
 
 def test_one_key_gives_one_course_of_training_bit_for_bit():

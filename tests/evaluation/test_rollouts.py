@@ -5,6 +5,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jaxtyping import Array
 
 from odaf.data.normalisation import Normaliser
 from odaf.data.spec import Spec
@@ -147,11 +148,18 @@ def test_summary_of_hand_worked_episodes():
 def _traced_learner(traces):
     # A learner without training: acts on the first observation, and notes every trace of its act.
     from odaf.algorithms.behaviour_cloning import BehaviourCloning
+    from odaf.components.policies import Actor
+
+    class TracedActor(Actor):
+        gain: Array
+
+        def act(self, carry, observations, key=None):
+            traces.append(observations.shape)
+            return jnp.tanh(observations[:, :1] * self.gain), carry
 
     class Traced(BehaviourCloning):
-        def act(self, state: Any, observations):
-            traces.append(observations.shape)
-            return jnp.tanh(observations[:, :1] * state["gain"])
+        def actor(self, state: Any):
+            return TracedActor(state["gain"])
 
     return Traced()
 

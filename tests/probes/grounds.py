@@ -47,7 +47,7 @@ def trained(learner, dataset: Dataset, updates: int, seeds: int = 3, value_bound
 def actions_at(learner, states, observation) -> np.ndarray:
     """[seeds, act_dim] deterministic actions at one observation."""
     row = jnp.asarray(observation, jnp.float32)[None, :]
-    return np.asarray(jax.vmap(lambda state: learner.act(state, row)[0])(states))
+    return np.asarray(jax.vmap(lambda state: learner.actor(state).mode(row)[0])(states))
 
 
 def values_at(states, observation, actions) -> np.ndarray:

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from odaf.algorithms.base import Algorithm, LearnerState
+from odaf.components.policies import Actor
 from odaf.data.dataset import Dataset
 from odaf.training import Evaluation, Policy
 
@@ -23,6 +24,14 @@ class TinyState(LearnerState):
     weights: Float[Array, "obs_dim act_dim"]
     slow: Float[Array, "obs_dim act_dim"]
     side: Float[Array, " act_dim"]
+
+
+class TinyActor(Actor):
+    weights: Float[Array, "obs_dim act_dim"]
+    offset: Float[Array, " act_dim"]
+
+    def act(self, carry, observations, key=None):
+        return jnp.tanh(observations @ self.weights + self.offset[None, :]), carry
 
 
 @dataclasses.dataclass(frozen=True)
@@ -64,8 +73,8 @@ class TinyLearner(Algorithm):
         slow = 0.9 * state.slow + 0.1 * weights
         return TinyState(state.step + 1, weights, slow, state.side), metrics
 
-    def act(self, state: Any, observations):
-        return jnp.tanh(observations @ state.weights + state.side[None, :])
+    def actor(self, state: Any):
+        return TinyActor(state.weights, state.side)
 
 
 @dataclasses.dataclass

@@ -7,6 +7,8 @@ from typing import Any, ClassVar, Generic, TypeVar
 import equinox as eqx
 from jaxtyping import Array, Float, Int, PRNGKeyArray, PyTree
 
+from odaf.components.critics import CriticEnsemble
+from odaf.components.policies import Actor
 from odaf.data.dataset import Dataset
 from odaf.data.normalisation import Normaliser
 from odaf.data.spec import Spec
@@ -29,7 +31,7 @@ class Algorithm(abc.ABC, Generic[State]):
     """A learner's settings (a frozen dataclass) and its pure functions.
 
     The loop calls, in this order: `untrained_side`, `pretrain`, `init`, then `update` inside compiled stretches, and
-    `act` for evaluation. Observations are normalised and actions scaled to [-1, 1] everywhere in here.
+    `actor` for evaluation. Observations are normalised and actions scaled to [-1, 1] everywhere in here.
     """
 
     kind: ClassVar[str]
@@ -66,5 +68,13 @@ class Algorithm(abc.ABC, Generic[State]):
         """One gradient step on one batch. Pure and traceable; metric names are the same at every step."""
 
     @abc.abstractmethod
-    def act(self, state: State, observations: Float[Array, "rows obs_dim"]) -> Float[Array, "rows act_dim"]:
-        """Deterministic actions in [-1, 1]."""
+    def actor(self, state: State) -> Actor:
+        """What the trained policy is: all that is needed to act, and nothing else. May be traced."""
+
+    def values(self, state: State) -> CriticEnsemble | None:
+        """Q_k(s, a) of the rewards that the learner trains on, for attacks and guards; None without critics.
+
+        May be traced.
+        """
+        del state
+        return None

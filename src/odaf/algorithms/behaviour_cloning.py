@@ -74,6 +74,6 @@ class BehaviourCloning(Algorithm[CloningState]):
         actor, moments = adam_step(self.learning_rate, gradient, state.actor_optimiser, state.actor)
         return CloningState(state.step + 1, actor, moments), {"actor/loss": loss}
 
-    def act(self, state: CloningState, observations: Float[Array, "rows obs_dim"]) -> Float[Array, "rows act_dim"]:
-        """mu(s)."""
-        return state.actor.mode(observations)
+    def actor(self, state: CloningState) -> DeterministicActor:
+        """mu."""
+        return state.actor

@@ -368,10 +368,13 @@ class EnsembleSAC(Algorithm[EnsembleState]):
         )
         return new_state, metrics
 
-    def act(self, state: EnsembleState, observations: Float[Array, "rows obs_dim"]) -> Float[Array, "rows act_dim"]:
-        """tanh of the deployed actor's mean."""
-        actor = state.actor if self.deployed_actor == "current" else state.slow_actor
-        return actor.mode(observations)
+    def actor(self, state: EnsembleState) -> GaussianActor:
+        """The deployed one of pi and pi'."""
+        return state.actor if self.deployed_actor == "current" else state.slow_actor
+
+    def values(self, state: EnsembleState) -> CriticEnsemble:
+        """The online critics, of scaled rewards."""
+        return state.critics
 
     def _context(
         self,

@@ -268,6 +268,10 @@ class TruncatedQuantileCritics(Algorithm[TQCState]):
         }
         return new_state, metrics
 
-    def act(self, state: TQCState, observations: Float[Array, "rows obs_dim"]) -> Float[Array, "rows act_dim"]:
-        """tanh of the actor's mean."""
-        return state.actor.mode(observations)
+    def actor(self, state: TQCState) -> GaussianActor:
+        """pi."""
+        return state.actor
+
+    def values(self, state: TQCState) -> CriticEnsemble:
+        """The mean of each critic's quantiles."""
+        return mean_critics(state.critics)

@@ -1,20 +1,82 @@
-"""Actor networks: a tanh-Gaussian one for the soft actor-critic family, a deterministic one for cloning."""
+"""Actors: what a trained policy is. A tanh-Gaussian one for the soft actor-critic family, a deterministic one."""
+
+import abc
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PRNGKeyArray
+import jax.random as jr
+from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 
-from odaf.components.distributions import sample_tanh_gaussian
+from odaf.components.distributions import exact_tanh_gaussian_log_density, sample_tanh_gaussian
 from odaf.components.networks import MLP, init_mlp
+from odaf.errors import ConfigError
 
 LOG_STD_MIN, LOG_STD_MAX = -5.0, 2.0
 HEAD_BOUND = 1e-3
 
 
-class GaussianActor(eqx.Module):
+class Actor(eqx.Module):
+    """What acts, and no more: parameters and pure functions of normalised observations and actions in [-1, 1].
+
+    Most actors see one observation and forget it; their carry is (). One with a memory (a return-to-go, a history)
+    keeps it in the carry, whose arrays have a leading axis of rows: `begin` makes it, `act` and `observe` hand on the
+    next one. All methods but `begin` may be traced.
+    """
+
+    def begin(self, rows: int) -> PyTree:
+        """The carry before the first step of `rows` episodes that are played side by side."""
+        del rows
+        return ()
+
+    @abc.abstractmethod
+    def act(
+        self, carry: PyTree, observations: Float[Array, "rows obs_dim"], key: PRNGKeyArray | None = None
+    ) -> tuple[Float[Array, "rows act_dim"], PyTree]:
+        """Actions in [-1, 1] and the next carry; without a key those that a deployed policy takes, else a draw."""
+
+    def observe(self, carry: PyTree, rewards: Float[Array, " rows"]) -> PyTree:
+        """The carry after the rewards, in the log's units, that the last actions earned."""
+        del rewards
+        return carry
+
+    def log_density(
+        self, observations: Float[Array, "rows obs_dim"], actions: Float[Array, "rows act_dim"]
+    ) -> Float[Array, " rows"]:
+        """log pi(a|s) in nats of actions in [-1, 1].
+
+        Raises:
+            ConfigError: the actor has no density.
+        """
+        del observations, actions
+        raise ConfigError(
+            f"{type(self).__name__}: has no density of its actions, so what weighs actions by their probability "
+            "cannot use it; take a stochastic policy, or a method that asks for none, such as fitted Q evaluation"
+        )
+
+    def mode(self, observations: Float[Array, "rows obs_dim"]) -> Float[Array, "rows act_dim"]:
+        """Deterministic actions in [-1, 1] at the first step of an episode: of an actor without memory, at any step."""
+        return self.act(self.begin(observations.shape[0]), observations)[0]
+
+
+class GaussianActor(Actor):
     """pi(a|s): an MLP whose outputs are the mean and the log standard deviation before the tanh."""
 
     network: MLP
+
+    def act(
+        self, carry: PyTree, observations: Float[Array, "rows obs_dim"], key: PRNGKeyArray | None = None
+    ) -> tuple[Float[Array, "rows act_dim"], PyTree]:
+        """tanh(mean), or with a key a draw of tanh(mean + std * noise)."""
+        mean, log_std = self.parameters(observations)
+        if key is not None:
+            mean = mean + jnp.exp(log_std) * jr.normal(key, mean.shape, mean.dtype)
+        return jnp.tanh(mean), carry
+
+    def log_density(
+        self, observations: Float[Array, "rows obs_dim"], actions: Float[Array, "rows act_dim"]
+    ) -> Float[Array, " rows"]:
+        """log pi(a|s) in nats, without a floor; an action on a bound counts as the nearest number inside."""
+        return exact_tanh_gaussian_log_density(*self.parameters(observations), actions)
 
     def parameters(
         self, observations: Float[Array, "rows obs_dim"]
@@ -30,11 +92,6 @@ class GaussianActor(eqx.Module):
         mean, log_std = self.parameters(observations)
         return sample_tanh_gaussian(mean, log_std, noise)
 
-    def mode(self, observations: Float[Array, "rows obs_dim"]) -> Float[Array, "rows act_dim"]:
-        """Deterministic action tanh(mean), in (-1, 1)."""
-        mean, _ = self.parameters(observations)
-        return jnp.tanh(mean)
-
 
 def draw_actions(
     actor: GaussianActor, observations: Float[Array, "rows obs_dim"], noise: Float[Array, "draws rows act_dim"]
@@ -44,14 +101,17 @@ def draw_actions(
     return sample_tanh_gaussian(mean, log_std, noise)
 
 
-class DeterministicActor(eqx.Module):
+class DeterministicActor(Actor):
     """mu(s) = tanh(MLP(s))."""
 
     network: MLP
 
-    def mode(self, observations: Float[Array, "rows obs_dim"]) -> Float[Array, "rows act_dim"]:
-        """Action in (-1, 1)."""
-        return jnp.tanh(self.network(observations))
+    def act(
+        self, carry: PyTree, observations: Float[Array, "rows obs_dim"], key: PRNGKeyArray | None = None
+    ) -> tuple[Float[Array, "rows act_dim"], PyTree]:
+        """mu(s), with or without a key."""
+        del key
+        return jnp.tanh(self.network(observations)), carry
 
 
 def init_gaussian_actor(key: PRNGKeyArray, obs_dim: int, act_dim: int, hidden_sizes: tuple[int, ...]) -> GaussianActor:

@@ -105,7 +105,7 @@ def _act(
     spec: Spec,
 ) -> Float[Array, "rows act_dim"]:
     normalised = (observations - mean[None, :]) / scale[None, :]
-    scaled = algorithm.act(state, normalised)
+    scaled = algorithm.actor(state).mode(normalised)
     actions = unscale_actions(scaled, spec.action_low, spec.action_high)
     # Rounding may step over a bound by one unit in the last place.
     low, high = jnp.asarray(spec.action_low, actions.dtype), jnp.asarray(spec.action_high, actions.dtype)
