@@ -228,7 +228,7 @@ def _policy(learner) -> Policy:
         ever_terminates=False, max_episode_length=10,
     )  # fmt: skip
     state = learner.init(jr.key(0), spec, ())
-    return Policy(learner, spec, Normaliser(np.asarray(MEAN), np.asarray(STD)), state, ("a", "b", "c"))
+    return Policy(learner, spec, Normaliser(np.asarray(MEAN), np.asarray(STD), 1e-3), state, ("a", "b", "c"))
 
 
 @pytest.fixture(scope="module")
@@ -293,7 +293,9 @@ def test_foreign_critics_see_the_truth_in_their_own_scale():
         _policy(BehaviourCloning(hidden_sizes=(4,))),
         _policy(EnsembleSAC(num_critics=3, hidden_sizes=(4,))),
     )
-    critics = dataclasses.replace(critics, normaliser=Normaliser(np.array([0.5, 0.5, -1.0]), np.array([3.0, 1.0, 2.0])))
+    critics = dataclasses.replace(
+        critics, normaliser=Normaliser(np.array([0.5, 0.5, -1.0]), np.array([3.0, 1.0, 2.0]), 1e-3)
+    )
     known = attacks.knowledge_of(cloned, ATTACKS["min-q"], critics)
     assert known is not None
     observations, offsets = np.asarray(_observations()), np.full((ROWS, OBS), 0.2, np.float32)

@@ -37,7 +37,7 @@ def untrained_run(
         "algorithm": to_dict(learner), "seeds": list(seeds), "evaluate": None, "checkpoint_every": 1, "stretch": 1,
         "on_divergence": "warn",
     }  # fmt: skip
-    normaliser = Normaliser.fit(dataset.observations)
+    normaliser = Normaliser.fit(dataset.observations, epsilon=1e-3)
     record = run_directory.data_record(dataset, normaliser, data)
     run = run_directory.begin(directory, plain(config), plain(record), dataset)
     for seed in seeds:

@@ -9,34 +9,47 @@ import numpy as np
 from odaf.errors import DatasetError
 
 _PIECE = 65_536  # rows
+_ROUNDING = 2.0**-24  # half a unit in the last place of single precision, relative
 Numbers = TypeVar("Numbers")  # a NumPy or a JAX array; what goes in decides what comes out
 
 
 @dataclass(frozen=True, eq=False)
 class Normaliser:
-    """Shifts and scales observations: `(observation - mean) / (std + epsilon)`.
+    """Shifts and scales observations: `(observation - mean) / (std + epsilon)`, and 0 in columns that never varied.
+
+    The unit of a column does not matter: rows in amperes and in nanoamperes are the same to a learner, unless it asks
+    for an `epsilon`, which is in the unit of each column.
+
+    Nothing can be learned from a column that never varied, so the learner never sees it change either: whatever such a
+    sensor shows later reads as the logged value. Dividing by a small number instead would turn its first
+    change into an input of thousands that no weight was trained on.
 
     Works on NumPy and JAX arrays of any leading shape alike, and imports neither's machinery beyond NumPy.
 
     Attributes:
         mean: [obs_dim] float32, in the user's units.
         std: [obs_dim] float32, the plain standard deviation (divisor N), without `epsilon`.
-        epsilon: added to `std`, so that a constant column becomes zero and not infinite.
+        epsilon: added to `std`, in the user's units; many papers add 1e-3.
+        constant: the columns that never varied, by number.
     """
 
     mean: np.ndarray
     std: np.ndarray
-    epsilon: float = 1e-3
+    epsilon: float = 0.0
+    constant: tuple[int, ...] = ()
 
     def __post_init__(self):
         mean = np.array(self.mean, np.float32)
         std = np.array(self.std, np.float32)
         if mean.ndim != 1 or mean.shape != std.shape:
             raise DatasetError(f"normaliser: mean has shape {mean.shape}, std {std.shape}; both must be [obs_dim]")
+        if any(column not in range(len(std)) for column in self.constant):
+            raise DatasetError(f"normaliser: constant columns {self.constant} are not all among {len(std)}")
         scale = std + np.float32(self.epsilon)
-        if not (np.isfinite(mean).all() and np.isfinite(scale).all() and (scale > 0).all()):
+        moving = np.delete(scale, self.constant)
+        if not (np.isfinite(mean).all() and np.isfinite(scale).all() and (moving > 0).all()):
             raise DatasetError(
-                "normaliser: mean and std + epsilon must be finite and std + epsilon positive; "
+                "normaliser: mean and std + epsilon must be finite, and std + epsilon positive where a column varies; "
                 f"mean {mean.tolist()}, std {std.tolist()}, epsilon {self.epsilon}"
             )
         for name, value in (("mean", mean), ("std", std)):
@@ -45,21 +58,39 @@ class Normaliser:
 
     @property
     def scale(self) -> np.ndarray:
-        """What one learner's unit is in the user's: `std + epsilon`, [obs_dim] float32."""
-        return self.std + np.float32(self.epsilon)
+        """[obs_dim] float32, what a learner's unit is in the user's: `std + epsilon`; infinite in constant columns."""
+        return self._scale(np.inf)
+
+    def _scale(self, of_constants: float) -> np.ndarray:
+        scale = self.std + np.float32(self.epsilon)
+        scale[list(self.constant)] = of_constants
+        return scale
 
     @classmethod
-    def fit(cls, observations: np.ndarray, epsilon: float = 1e-3) -> "Normaliser":
-        """Mean and standard deviation of the rows of `observations` [rows, obs_dim], summed in double precision."""
+    def fit(cls, observations: np.ndarray, epsilon: float = 0.0) -> "Normaliser":
+        """Mean and standard deviation of the rows of `observations` [rows, obs_dim], summed in double precision.
+
+        A column counts as constant if its standard deviation is no larger than what rounding to single precision can
+        make of one value: half a unit in the last place, 2^-24 of the largest absolute value. So 1e9 with noise of 10,
+        which single precision cannot hold, is a constant, and 1e-9 with noise of 1e-10 is not.
+
+        Args:
+            observations: the rows, in the user's units.
+            epsilon: added to the standard deviations, in the user's units.
+        """
         if np.ndim(observations) != 2 or len(observations) == 0:
             raise DatasetError(
                 f"normaliser: observations must be [rows, obs_dim] with at least one row, got {np.shape(observations)}"
             )
         mean = np.asarray(np.mean(observations, axis=0, dtype=np.float64))
-        squares = np.zeros(observations.shape[1])
+        squares, largest = np.zeros(observations.shape[1]), np.zeros(observations.shape[1])
         for first in range(0, len(observations), _PIECE):  # in pieces: a copy in double precision is twice the data
-            squares += np.square(observations[first : first + _PIECE] - mean).sum(axis=0)
-        return cls(mean=mean, std=np.sqrt(squares / len(observations)), epsilon=epsilon)
+            piece = observations[first : first + _PIECE]
+            squares += np.square(piece - mean).sum(axis=0)
+            largest = np.maximum(largest, np.abs(piece).max(axis=0))
+        std = np.sqrt(squares / len(observations))
+        constant = np.flatnonzero(std <= _ROUNDING * largest)
+        return cls(mean=mean, std=std, epsilon=epsilon, constant=tuple(constant.tolist()))
 
     @classmethod
     def identity(cls, obs_dim: int) -> "Normaliser":
@@ -73,17 +104,27 @@ class Normaliser:
         return shifted
 
     def denormalise(self, observations: Numbers) -> Numbers:
-        """Learner's units to the user's."""
-        return observations * _aligned(self.scale, observations) + _aligned(self.mean, observations)  # type: ignore
+        """Learner's units to the user's; a column that never varied takes its logged value."""
+        return observations * _aligned(self._scale(0.0), observations) + _aligned(self.mean, observations)  # type: ignore
 
     def to_dict(self) -> dict[str, Any]:
         """Plain JSON types; `from_dict` restores the same bits."""
-        return {"mean": self.mean.tolist(), "std": self.std.tolist(), "epsilon": self.epsilon}
+        return {
+            "mean": self.mean.tolist(),
+            "std": self.std.tolist(),
+            "epsilon": self.epsilon,
+            "constant": list(self.constant),
+        }
 
     @classmethod
     def from_dict(cls, fields: Mapping[str, Any]) -> "Normaliser":
-        """Inverse of `to_dict`."""
-        return cls(np.asarray(fields["mean"]), np.asarray(fields["std"]), float(fields["epsilon"]))
+        """Inverse of `to_dict`; dictionaries from before `constant` scale every column, as they did."""
+        return cls(
+            np.asarray(fields["mean"]),
+            np.asarray(fields["std"]),
+            float(fields["epsilon"]),
+            tuple(fields.get("constant", ())),
+        )
 
 
 def scale_actions(actions: Numbers, low, high) -> Numbers:
