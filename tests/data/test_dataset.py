@@ -59,6 +59,24 @@ def test_spec_and_summary_by_hand():
     assert {key: summary[key] for key in expected} == expected
 
 
+def test_the_best_logged_episode_is_not_the_shortest_fragment():
+    """Every step costs 1, more or less: what was cut after three steps has the highest return and says nothing."""
+    lengths = [10, 3, 12, 10, 4]
+    rewards = np.concatenate([np.full(length, -1.0 - 0.1 * index) for index, length in enumerate(lengths)])
+    ends = np.cumsum(lengths) - 1
+    terminated = np.isin(np.arange(39), ends[-1])  # the last one reached its goal: short because it is good
+    arrays = {"observations": np.zeros((39, 1)), "actions": np.zeros((39, 1)), "rewards": rewards}
+    given = {"next_observations": np.zeros((39, 1)), "terminated": terminated, "action_bounds": (-1, 1)}
+    dataset = Dataset.from_arrays(**arrays, **given, episode=np.repeat(np.arange(5), lengths))
+    summary = dataset.summary()
+    expected = {"best_return": -5.6, "worst_return": -14.4, "fragments": 1, "best_mean_reward": -1.0}
+    expected |= {"worst_mean_reward": -1.4, "mean_reward": rewards.mean()}
+    assert {key: summary[key] for key in expected} == pytest.approx(expected)
+    (finding,) = [entry for entry in dataset.check().findings if entry.check == "returns-by-length"]
+    assert finding.rows == (10,)
+    assert "-3.3, is that of a fragment: 3 rows" in finding.message
+
+
 def test_shift_inside_episodes_drops_only_rows_without_successor():
     dataset = Dataset.from_arrays(**five_rows(next_observations=None))
     # Row 2 terminated: kept, its own observation stands in. Row 4 was cut: nobody saw what followed.

@@ -134,7 +134,9 @@ def describe(summary: Mapping[str, Any]) -> str:
         "transitions": f"{summary['transitions']:,}",
         "episodes": f"{summary['episodes']:,}, mean length {number(summary['mean_length'])}",
         "return": f"mean {number(summary['mean_return'], 2)}, std {number(summary['std_return'], 2)}, "
-        f"best {number(summary['best_return'], 2)}, worst {number(summary['worst_return'], 2)}",
+        f"best {number(summary['best_return'], 2)}, worst {number(summary['worst_return'], 2)}{_fragments(summary)}",
+        "reward per step": f"mean {number(summary['mean_reward'], 4)}, "
+        f"best episode {number(summary['best_mean_reward'], 4)}, worst {number(summary['worst_mean_reward'], 4)}",
         "ends": f"{summary['terminal_share']:.1%} of the episodes terminated, the others were cut",
         "observations": ", ".join(summary["observation_names"]),
         "environment": "unknown" if environment is None else environment.get("id", environment["name"]),
@@ -151,6 +153,12 @@ def describe(summary: Mapping[str, Any]) -> str:
         lines += ["", "changed on the way in:"]
         lines += [f"  {finding['finding']} ({finding['count']:,}): {finding['message']}" for finding in findings]
     return "\n".join(lines)
+
+
+def _fragments(summary: Mapping[str, Any]) -> str:
+    """Says which episodes best and worst leave out."""
+    count = summary["fragments"]
+    return f" (without {count:,} {'fragment' if count == 1 else 'fragments'} cut short)" if count else ""
 
 
 def _mixture(content: Mapping[str, Any], drawn: Mapping[str, Any] | None) -> str:

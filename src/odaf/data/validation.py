@@ -169,7 +169,8 @@ def outside_bounds(
     source: str, actions: np.ndarray, low: np.ndarray, high: np.ndarray, row_numbers: RowNumbers | None = None
 ) -> np.ndarray:
     """[rows] bool: actions a hair outside their bounds. Those further out than `BOUND_TOLERANCE` of the range raise."""
-    slack = BOUND_TOLERANCE * (high - low)
+    with np.errstate(over="ignore"):  # bounds as wide as single precision goes
+        slack = BOUND_TOLERANCE * (high - low)
     outside = np.zeros(len(actions), bool)
     far = np.zeros(actions.shape, bool)
     for first in range(0, len(actions), _PIECE):

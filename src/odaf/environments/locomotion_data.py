@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from odaf.data.dataset import Dataset
+from odaf.data.rows import COLUMNS
 from odaf.environments.gaussian_policy import GaussianPolicy
 from odaf.environments.locomotion import TASKS, Simulator, Task, task_of
 from odaf.environments.locomotion_acceptance import acceptance_of, findings_of, statistics_of

@@ -16,6 +16,7 @@ from odaf.errors import DatasetError
 CLEAN = healthy.columns()
 ROWS = len(CLEAN["rewards"])
 ENDS = np.flatnonzero(CLEAN["terminated"] | CLEAN["truncated"])
+LARGEST = float(np.finfo(np.float32).max)
 IDS_ONLY = ("terminated", "truncated", "time", "next_observations")
 
 
@@ -73,6 +74,13 @@ def teleported() -> np.ndarray:
     return observations
 
 
+def cut_after(rows: Any, reward: float) -> dict[str, np.ndarray]:
+    """The recording stopped after these rows too, and every row earned about `reward`."""
+    truncated = CLEAN["terminated"] | CLEAN["truncated"]
+    truncated[list(rows)] = True
+    return {"truncated": truncated, "rewards": reward + 0.1 * CLEAN["rewards"]}
+
+
 def gaps() -> np.ndarray:
     time = CLEAN["time"].copy()
     time[40:99] += 0.2  # row 40 comes five steps after row 39
@@ -109,6 +117,18 @@ SPOILED: dict[str, tuple[Any, Any]] = {
     "bounds upside down": (({}, (), {"action_bounds": (1.0, -1.0)}), ("action-bounds", "error", "actions", 1, ())),
     "on the bounds": ((glued(),), ("actions-on-bounds", "warning", "actions", 150, (0, 20, 40, 60, 80))),
     "on a bound once": ((changed("actions", (9, 0), -1.0),), ("actions-on-bounds", "note", "actions", 1, (9,))),
+    "bounds of a percentage": (
+        ({}, (), {"action_bounds": (-100.0, 100.0)}),
+        ("bounds-too-wide", "warning", "actions", 2, ()),
+    ),
+    "no true bounds": (
+        ({}, (), {"action_bounds": (-LARGEST, LARGEST)}),
+        ("bounds-too-wide", "warning", "actions", 2, ()),
+    ),
+    "one bound too wide": (
+        ({}, (), {"action_bounds": ((-1.0, -1e3), (1.0, 1e3))}),
+        ("bounds-too-wide", "warning", "actions", 1, ()),
+    ),
     "choices": (
         ({"actions": np.arange(ROWS)[:, None] % 4}, (), {"action_bounds": None}),
         ("actions-discrete", "error", "actions", ROWS, ()),
@@ -203,6 +223,20 @@ SPOILED: dict[str, tuple[Any, Any]] = {
     ),
     "constant reward": (({"rewards": np.full(ROWS, -1.0)},), ("reward-constant", "warning", "rewards", ROWS, ())),
     "no reward": (({"rewards": np.zeros((ROWS, 1))},), ("reward-constant", "warning", "rewards", ROWS, ())),
+    "large rewards": (({"rewards": CLEAN["rewards"] * 1e6},), ("reward-scale", "warning", "rewards", ROWS, ())),
+    "small rewards": (({"rewards": CLEAN["rewards"] * 1e-6},), ("reward-scale", "warning", "rewards", ROWS, ())),
+    "rewards that vary little": (
+        ({"rewards": CLEAN["rewards"] * 1e-3 + 100},),
+        ("reward-scale", "warning", "rewards", ROWS, ()),
+    ),
+    "the best return is a fragment's": (
+        (cut_after([int(ENDS[0]) + 10], -1.0), ("episode",)),
+        ("returns-by-length", "warning", "rewards", 1, (int(ENDS[0]) + 1,)),
+    ),
+    "returns that follow lengths": (
+        ({"terminated": np.zeros(ROWS, bool), **cut_after(range(19, ROWS, 100), 1.0)}, ("episode", "time")),
+        ("returns-by-length", "note", "rewards", 60, (0, 20, 99, 120, 199)),
+    ),
     "texts": (
         ({"actions": changed("actions", 0, 0)["actions"].astype(str).astype(object)},),
         ("not-numbers", "error", "actions", ROWS, ()),

@@ -7,6 +7,8 @@ from odaf.data.checks.stream import Block, Facts, Tally, any_column
 from odaf.data.validation import BOUND_TOLERANCE
 
 ON_BOUNDS_SHARE = 0.01
+WIDE = 50.0
+"""Bounds this many times as wide as what was logged are too wide: a percentage taken for a share is a hundred times."""
 MOST_DISCRETE = 32
 
 
@@ -74,6 +76,7 @@ class Bounds:
                     "nothing to do: they are moved onto the bounds when the data are used, which is recorded",
                 )
             )  # fmt: skip
+        found += self._too_wide(self._facts.low, self._facts.high)
         if self._on_entries:
             share = self._on_entries / self._entries
             found.append(
@@ -86,6 +89,23 @@ class Bounds:
                 )
             )  # fmt: skip
         return found
+
+    def _too_wide(self, low: np.ndarray, high: np.ndarray) -> list[Finding]:
+        logged, allowed = (np.subtract(*pair, dtype=np.float64) for pair in ((self._high, self._low), (high, low)))
+        wide = np.flatnonzero((logged > 0) & (allowed > WIDE * logged))
+        if not len(wide):
+            return []
+        names = ", ".join(self._facts.action_names[column] for column in wide[:8]) + (", ..." if len(wide) > 8 else "")
+        return [
+            Finding(
+                "bounds-too-wide", "warning", "actions", len(wide), (),
+                f"the bounds of {names} are up to {float((allowed[wide] / logged[wide]).max()):.3g} times as wide as "
+                f"what was logged: {self._range(self._low[wide], self._high[wide])} of "
+                f"{self._range(low[wide], high[wide])}",
+                "give the actuator's true limits in the log's own unit (--action-bounds; action_bounds in Python): a "
+                "policy may answer with anything between them, and the logged actions all look alike",
+            )
+        ]  # fmt: skip
 
     def _range(self, low: np.ndarray, high: np.ndarray) -> str:
         if len(low) > 1 and (low == low[0]).all() and (high == high[0]).all():

@@ -1,10 +1,9 @@
-"""Checks of where episodes begin and end, of their ids and their clock; returns and lengths as figures."""
+"""Checks of where episodes begin and end, of their ids and their clock."""
 
 import numpy as np
 
 from odaf.data.checks.findings import Finding, Severity
 from odaf.data.checks.hashing import BoundedHashes, hash_ids
-from odaf.data.checks.moments import Moments
 from odaf.data.checks.stream import FLAGS, Block, Facts, Tally
 from odaf.data.checks.structure import flags_present
 
@@ -255,37 +254,3 @@ class Clock:
                 )
             )  # fmt: skip
         return found
-
-
-class Returns:
-    """Returns and lengths of the episodes, as figures; finds nothing."""
-
-    def __init__(self, facts: Facts):
-        self._sum, self._steps = 0.0, 0
-        self.returns, self.lengths = Moments(), Moments()
-
-    def see(self, block: Block) -> None:
-        rewards = block.columns["rewards"].astype(np.float64)
-        begins = np.flatnonzero(block.starts)
-        if block.first == 0:
-            begins = begins[1:]
-        if not len(begins):
-            self._sum += float(rewards.sum())
-            self._steps += len(block)
-            return
-        edges = np.append(0, begins)
-        sums = np.add.reduceat(rewards, edges) if begins[0] > 0 else np.append(0.0, np.add.reduceat(rewards, begins))
-        lengths = np.diff(np.append(edges, len(block)))
-        sums[0] += self._sum
-        lengths[0] += self._steps
-        self.returns.add(sums[:-1, None])
-        self.lengths.add(lengths[:-1, None])
-        self._sum, self._steps = float(sums[-1]), int(lengths[-1])
-
-    def finish(self) -> None:
-        """Takes in the last episode."""
-        self.returns.add(np.array([[self._sum]]))
-        self.lengths.add(np.array([[self._steps]]))
-
-    def findings(self) -> list[Finding]:
-        return []

@@ -11,8 +11,9 @@ from odaf.data.checks import known, structure
 from odaf.data.checks.actions import Bounds, Discrete
 from odaf.data.checks.continuity import Jumps, Successors
 from odaf.data.checks.duplicates import Duplicates
-from odaf.data.checks.episodes import Clock, Ends, Ids, Returns
+from odaf.data.checks.episodes import Clock, Ends, Ids
 from odaf.data.checks.findings import Finding, Report, sort_findings
+from odaf.data.checks.returns import Returns, RewardScale
 from odaf.data.checks.stream import Check, Facts, blocks
 from odaf.data.checks.values import Columns, Finite, FlagValues
 from odaf.data.log import Log
@@ -119,7 +120,7 @@ def _checks(facts: Facts) -> list[Check]:
         checks.append(Successors(facts))
     checks += [Columns(facts), Duplicates(facts)]
     if "rewards" in has:
-        checks.append(Returns(facts))
+        checks += [RewardScale(facts), Returns(facts)]
     return checks
 
 

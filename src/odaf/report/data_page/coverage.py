@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from odaf.data import Dataset
+from odaf.data.summary import fragments
 
 FIT_ROWS, DRAWN_ROWS = 50_000, 2_500
 GOOD_SHARE = 0.1
@@ -54,6 +55,8 @@ def coverage(dataset: Dataset) -> Coverage | None:
 
 
 def _in_good_episodes(dataset: Dataset, rows: np.ndarray) -> np.ndarray:
-    returns = dataset.episode_returns()
+    lengths = dataset.episode_lengths()
+    short = fragments(lengths, dataset.terminated[dataset.episode_starts + lengths - 1])
+    returns = np.where(short, -np.inf, dataset.episode_returns())
     best = np.argsort(-returns, kind="stable")[: max(1, round(GOOD_SHARE * len(returns)))]
     return np.isin(np.searchsorted(dataset.episode_starts, rows, side="right") - 1, best)
