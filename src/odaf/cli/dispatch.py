@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from importlib import import_module
 
 from odaf import __version__
+from odaf.cli import spelling
 from odaf.errors import OdafError
 
 EXIT_MISTAKE = 2
@@ -135,7 +136,7 @@ def run_guarded(command: Command, arguments: list[str], debug: bool) -> int:
     except (OdafError, OSError) as mistake:
         if debug:
             traceback.print_exc()
-        return complain(name, describe(mistake) if isinstance(mistake, OSError) else str(mistake))
+        return complain(name, describe(mistake) if isinstance(mistake, OSError) else spelling.explained(mistake))
 
 
 def describe(error: OSError) -> str:

@@ -9,6 +9,8 @@ from typing import Annotated, Any, TypeVar, get_type_hints
 
 import tyro
 
+from odaf.cli import spelling
+
 Options = TypeVar("Options")
 
 TERMS = "terms"
@@ -22,7 +24,15 @@ def parse(kind: type[Options], arguments: list[str], command: str) -> Options:
         arguments: words after the command.
         command: what the user typed before them, for the help page.
     """
+    spelling.command_takes(_names(kind))
     return tyro.cli(kind, args=arguments, prog=f"odaf {command}")
+
+
+def _names(kind: type) -> set[str]:
+    """Names of the options of a dataclass, those of its groups included."""
+    types = get_type_hints(kind)
+    groups = [found for found in types.values() if dataclasses.is_dataclass(found) and isinstance(found, type)]
+    return {field.name for field in dataclasses.fields(kind)}.union(*(_names(group) for group in groups))
 
 
 def field_help(kind: type) -> dict[str, str]:

@@ -24,13 +24,20 @@ class ReaderOptions:
     reward: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
     """Column of what the action of the same row earned. For OGBench: zero, or an .npy file."""
     constant_reward: Annotated[float | None, tyro.conf.arg(metavar="NUMBER")] = None
-    """For a table without rewards, in place of --reward: every row earned this. Enough for cloning."""
+    """For tables and LeRobot folders without rewards, in place of --reward: every row earned this. Enough for
+    cloning."""
+    goal: Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="X Y")] = None
+    """For OGBench's mazes: the reward is 0 near this place and -1 elsewhere, and the task ends there."""
+    goal_radius: Annotated[float | None, tyro.conf.arg(metavar="NUMBER")] = None
+    """How near; without it 1.0, as in the point mazes; 0.5 in those of the ant and the humanoid."""
     episode: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
     """Column of ids, equal for the rows of one episode."""
     single_episode: bool = False
     """In place of --episode: all rows of the table are one episode."""
     terminated: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
     """Column that says where the task ended by itself."""
+    never_terminated: bool = False
+    """In place of --terminated: the task never ended by itself, every episode was cut."""
     truncated: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
     """Column that says where the recording was cut."""
     time: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
@@ -63,21 +70,29 @@ class ReaderOptions:
     """Lines in front of the CSV file's headings; messages count them, as a spreadsheet does."""
     max_episode_steps: Annotated[int | None, tyro.conf.arg(metavar="INT")] = None
     """The environment's time limit, for D4RL files without time-outs."""
+    d4rl_compat: bool = False
+    """The rows that D4RL's own `qlearning_dataset` returns, for comparisons."""
 
     def for_reader(self) -> dict[str, Any]:
         """Those options that were given, as `odaf.data.readers.read` takes them."""
         given = {field.name: getattr(self, field.name) for field in fields(ReaderOptions) if field.name != "format"}
         given = {name: value for name, value in given.items() if value is not None and value is not False}
-        for column, instead in (("reward", "constant_reward"), ("episode", "single_episode")):
+        for column, instead in (
+            ("reward", "constant_reward"),
+            ("episode", "single_episode"),
+            ("terminated", "never_terminated"),
+        ):
             if column in given and instead in given:
                 raise ConfigError(
-                    f"--{column}: --{instead.replace('_', '-')} was given too; it is for tables that have no such "
+                    f"--{column}: --{instead.replace('_', '-')} was given too; it is for logs that have no such "
                     "column: leave out one of the two"
                 )
         if "constant_reward" in given:
             given["reward"] = given.pop("constant_reward")
         if given.pop("single_episode", False):
             given["episode"] = 0
+        if given.pop("never_terminated", False):
+            given["terminated"] = False
         if given.get("separator") in ("tab", "\\t"):
             given["separator"] = "\t"
         if "action_bounds" in given:

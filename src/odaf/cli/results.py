@@ -2,7 +2,10 @@
 
 import sys
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
+
+from odaf.cli.spelling import spelled
 
 if TYPE_CHECKING:
     from odaf.data.checks import Report
@@ -110,7 +113,9 @@ def print_run(run: "Run") -> None:
 
 
 def print_report(report: "Report") -> None:
-    """What the checks found: coloured on a terminal, plain text 110 wide elsewhere."""
+    """What the checks found, in the command line's spelling: coloured on a terminal, plain text 110 wide elsewhere."""
+    findings = [replace(each, message=spelled(each.message), remedy=spelled(each.remedy)) for each in report.findings]
+    report = replace(report, findings=tuple(findings))
     if not sys.stdout.isatty():
         print(report)
         return

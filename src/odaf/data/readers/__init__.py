@@ -13,7 +13,7 @@ from typing import Any
 
 from odaf.data.log import Log
 from odaf.data.readers.detection import detect
-from odaf.errors import DatasetError
+from odaf.errors import DatasetError, OdafError
 
 __all__ = ["FORMATS", "Format", "detect", "read"]
 
@@ -50,7 +50,8 @@ def read(path: str | os.PathLike[str], format: str | None = None, **options: Any
     Args:
         path: file or folder.
         format: a name in `FORMATS`; None tells it from the contents.
-        options: of the layout's own reader, such as `observations=[...]` for tables.
+        options: of the layout's own reader, such as `observations=[...]` for tables. None counts as not given, and so
+            does False for an option that is not set by itself.
 
     Raises:
         DatasetError: there is nothing at `path`, its layout is unknown or unsafe, an option does not belong to the
@@ -64,16 +65,24 @@ def read(path: str | os.PathLike[str], format: str | None = None, **options: Any
     function = import_module(FORMATS[name].module).read
     parameters = [p for p in inspect.signature(function).parameters.values() if p.kind is p.KEYWORD_ONLY]
     known = [parameter.name for parameter in parameters]
+    unset = {p.name for p in parameters if p.default is None}
+    options = {
+        name: value for name, value in options.items() if value is not None and not (value is False and name in unset)
+    }
     unknown = sorted(set(options) - set(known))
     if unknown:
         raise DatasetError(
-            f"{os.fspath(path)}: option {unknown[0]!r} does not apply to {FORMATS[name].title}; "
-            f"it takes {', '.join(known) or 'none'}"
+            f"{os.fspath(path)}: option {unknown[0]}= does not apply to {FORMATS[name].title}; "
+            f"it takes {', '.join(f'{option}=' for option in known) or 'none'}"
         )
     missing = [p.name for p in parameters if p.default is p.empty and p.name not in options]
     if missing:
         raise DatasetError(
-            f"{os.fspath(path)}: {FORMATS[name].title} does not say which column means what; "
-            f"give {', '.join(f'{option}=' for option in missing)}"
+            f"{os.fspath(path)}: {FORMATS[name].title} does not say which column means what",
+            remedies=[f"give {', '.join(f'{option}=' for option in missing)}"],
         )
-    return function(Path(path), **options)
+    try:
+        return function(Path(path), **options)
+    except OdafError as error:
+        error.offer(known)
+        raise

@@ -1,17 +1,19 @@
 """Reader of LeRobot folders: Parquet tables under `data/`, described in `meta/info.json`; versions 2 and 3."""
 
 import json
+import math
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
+import numpy as np
 import polars as pl
 
 from odaf.data.log import Log
 from odaf.data.readers import table_sources, tables
-from odaf.data.readers.row_order import OnGap
+from odaf.data.readers.row_order import RATE_TOLERANCE, OnGap
 from odaf.data.readers.table_cells import OnMissing
 from odaf.data.readers.table_meaning import Meaning
 from odaf.data.readers.table_sources import Table
@@ -20,6 +22,9 @@ from odaf.errors import DatasetError
 
 REWARD = "next.reward"
 DONE = "next.done"
+TIME = "timestamp"
+FRAME = "frame_index"
+EPISODE = "episode_index"
 
 
 def read(
@@ -28,7 +33,9 @@ def read(
     observations: Sequence[str] = ("observation.state",),
     actions: Sequence[str] = ("action",),
     reward: str | float = REWARD,
-    terminated: str | None = DONE,
+    terminated: str | Literal[False] | None = DONE,
+    time: str = TIME,
+    time_step: float | None = None,
     infos: Sequence[str] = (),
     action_bounds: Bounds | None = None,
     units: Mapping[str, str] | None = None,
@@ -47,8 +54,11 @@ def read(
         actions: columns of what was done.
         reward: the column of what the action of the same frame earned, or a number that every frame earned. Many
             folders have none.
-        terminated: the column that says where the task ended; `next.done` counts only where the folder has it. None:
-            no task ever ended, every episode was cut.
+        terminated: the column that says where the task ended; `next.done` counts only where the folder has it. False
+            or None: no task ever ended, every episode was cut.
+        time: the column of times; without time stamps, the number of the frame counts.
+        time_step: the usual time between frames. None takes it from `fps` in `meta/info.json`, which the time stamps
+            must bear out; frames counted by number are 1 apart.
         infos: further columns of numbers to keep beside the rows.
         action_bounds: {action: (low, high)} or {column: (low, high)} or (low, high). None takes them from the data.
         units: {column: unit}.
@@ -70,18 +80,19 @@ def read(
         terminated = None
     if reward == REWARD and REWARD not in names:
         raise DatasetError(
-            f"{source}: has no column '{REWARD}', as many recorded demonstrations; pass reward=, the name of a column "
-            f"or a number such as 0.0 for cloning; there are {', '.join(names)}"
+            f"{source}: has no column '{REWARD}', as many recorded demonstrations; there are {', '.join(names)}",
+            remedies=["pass reward=0.0 for cloning", "name another column with reward="],
         )
-    time = "timestamp" if "timestamp" in names else "frame_index"
+    if time == TIME and TIME not in names:
+        time = FRAME
     meaning = Meaning(
         observations=observations,
         actions=actions,
         reward=reward,
-        episode="episode_index",
-        terminated=terminated,
+        episode=EPISODE,
+        terminated=terminated or None,
         time=time,
-        time_step=1.0 / info["fps"] if time == "timestamp" else 1.0,
+        time_step=(1.0 if time == FRAME else 1.0 / info["fps"]) if time_step is None else time_step,
         infos=infos,
         action_bounds=action_bounds,
         units=units,
@@ -90,6 +101,8 @@ def read(
     )
     meaning.check(source)
     frame = _joined(files, source, meaning.columns())
+    if time_step is None and time != FRAME:
+        _refuse_another_rate(source, frame, time, info["fps"], names)
     facts = {name: info[name] for name in ("codebase_version", "robot_type", "fps") if name in info}
     table = Table(
         source,
@@ -128,14 +141,48 @@ def _info(path: Path, source: str) -> dict[str, Any]:
 
 def _joined(files: Sequence[Path], source: str, names: Sequence[str]) -> pl.DataFrame:
     """The named columns of all files, one file after another."""
-    frames = []
+    frames: list[pl.DataFrame] = []
+    homes: dict[Any, Path] = {}
     for file in files:
         table = table_sources.parquet_table(file)
         table.require(names)
         with table_sources.reading(table.source):
             frames.append(pl.read_parquet(file, columns=list(names), glob=False, hive_partitioning=False))
+        for episode in frames[-1][EPISODE].unique().to_list():
+            if episode in homes:
+                raise DatasetError(
+                    f"{source}: episode {episode} lies in {homes[episode].name} and again in {file.name}; remove the "
+                    "file that is there twice, or give each episode an id of its own in column 'episode_index'"
+                )
+            homes[episode] = file
     with table_sources.reading(source, "files whose columns differ in type"):
         return pl.concat(frames, how="vertical_relaxed")
+
+
+def _refuse_another_rate(source: str, frame: pl.DataFrame, time: str, fps: float, names: Sequence[str]) -> None:
+    """Raises where the time stamps do not come at the rate that `meta/info.json` promises."""
+    stamps, same = frame[time], (frame[EPISODE] == frame[EPISODE].shift(-1)).fill_null(False)
+    if not (stamps.dtype.is_float() or stamps.dtype.is_integer()):
+        return  # dates; the table reader judges them
+    counted = [f'pass time="{FRAME}"'] if FRAME in names else []
+    largest = stamps.cast(pl.Float64).abs().max()
+    if stamps.dtype == pl.Float32 and isinstance(largest, float) and math.isfinite(largest):
+        apart = float(np.spacing(np.float32(largest)))
+        if apart > 0.5 / fps:
+            raise DatasetError(
+                f"{source}: column '{time}' holds times as large as {largest:.6g} in single precision, which are told "
+                f"apart only if {apart:.6g} lie between them, and fps in meta/info.json is {fps:g}",
+                remedies=[*counted, "store the times in double precision, or from 0 in each episode"],
+            )
+    steps = (stamps.shift(-1) - stamps).cast(pl.Float64).filter(same)
+    step = steps.median()
+    if not isinstance(step, float) or not step > 0.0 or abs(step * fps - 1.0) <= RATE_TOLERANCE:
+        return  # times that stand still or go back are the table reader's to refuse
+    raise DatasetError(
+        f"{source}: fps in meta/info.json is {fps:g}, so frames should be {1.0 / fps:.6g} apart, but in column "
+        f"'{time}' they are {step:.6g} apart in the median, {1.0 / step:.6g} a second",
+        remedies=[f"pass time_step={step:.6g} if the column is right", *counted, "correct fps in meta/info.json"],
+    )
 
 
 def _parts(features: Mapping[str, Any], columns: Iterable[str]) -> dict[str, list[str]]:
@@ -168,7 +215,7 @@ def _doubts(log: Log, info: Mapping[str, Any], frame: pl.DataFrame) -> list[dict
             }
         )
     if "terminated" in log.columns:
-        last = (frame["episode_index"] != frame["episode_index"].shift(-1)).fill_null(True).to_numpy().astype(bool)
+        last = (frame[EPISODE] != frame[EPISODE].shift(-1)).fill_null(True).to_numpy().astype(bool)
         ended = int(log.columns["terminated"][:][last].sum())
         if ended == int(last.sum()):
             findings.append(
@@ -177,7 +224,7 @@ def _doubts(log: Log, info: Mapping[str, Any], frame: pl.DataFrame) -> list[dict
                     "count": ended,
                     "message": f"every episode ends with {log.provenance['columns']['terminated']}; if some of them "
                     'only ran out of time, learned values are wrong: name another column, such as "next.success", or '
-                    "pass terminated=None",
+                    "pass terminated=False",
                 }
             )
     return findings

@@ -15,7 +15,7 @@ OnGap = Literal["error", "break"]
 # A step longer than this many usual steps is a gap: rows are missing there.
 GAP = 1.5
 # Episodes whose usual steps differ by more than this share were not sampled at one rate.
-_RATE_TOLERANCE = 0.1
+RATE_TOLERANCE = 0.1
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,9 @@ def first_rows(episode: np.ndarray | None, ends: np.ndarray | None, rows: int) -
     return first
 
 
-def refuse_scattered(source: str, column: str, episode: np.ndarray, numbers: RowNumbers, remedy: str) -> None:
+def refuse_scattered(
+    source: str, column: str, episode: np.ndarray, numbers: RowNumbers, remedies: Sequence[str]
+) -> None:
     """Raises where an episode id comes back after another one."""
     starts = np.flatnonzero(first_rows(episode, None, len(episode)))
     ids, counts = np.unique(episode[starts], return_counts=True)
@@ -59,7 +61,8 @@ def refuse_scattered(source: str, column: str, episode: np.ndarray, numbers: Row
         raise DatasetError(
             f"{source}: column '{column}': id {again!s} comes back after other ids: it begins in rows "
             f"{', '.join(blocks[:5])}{', ...' if len(blocks) > 5 else ''} ({int((counts > 1).sum())} of {len(ids)} ids "
-            f"do so); {remedy}"
+            "do so)",
+            remedies=remedies,
         )
 
 
@@ -72,7 +75,7 @@ def read_clock(
     *,
     time_step: float | None,
     on_gap: OnGap,
-    remedy: str,
+    remedies: Sequence[str],
 ) -> Clock:
     """The usual step and the gaps of each episode.
 
@@ -84,7 +87,7 @@ def read_clock(
         numbers: [rows] the rows' numbers in the source.
         time_step: the usual step; None takes the median of each episode.
         on_gap: what a gap is: a mistake, or the end of an episode.
-        remedy: what to do where time does not ascend.
+        remedies: what to do where time does not ascend.
 
     Raises:
         DatasetError: time stands still or goes back inside an episode, or there is a gap and that is a mistake.
@@ -97,7 +100,8 @@ def read_clock(
         fact = "time stands still" if time[row] == time[row - 1] else "time goes back"
         raise DatasetError(
             f"{source}: column '{column}': {fact} inside an episode in {name_rows(wrong, numbers)} "
-            f"({time[row - 1]:.15g}, then {time[row]:.15g}); {remedy}"
+            f"({time[row - 1]:.15g}, then {time[row]:.15g})",
+            remedies=remedies,
         )
     if not inside.any():
         return Clock(np.zeros(len(time), bool), time_step, ())
@@ -115,13 +119,16 @@ def read_clock(
         )
         if on_gap == "error":
             raise DatasetError(
-                f"{source}: column '{column}': rows are missing {text}; pass on_gap=\"break\" to end the episode at "
-                "each gap, or time_step= if the rows were not meant to be evenly spaced"
+                f"{source}: column '{column}': rows are missing {text}",
+                remedies=[
+                    'pass on_gap="break" to end the episode at each gap',
+                    "time_step= if the rows were not meant to be evenly spaced",
+                ],
             )
         findings.append(_finding("time-gaps", gaps, f"episodes were ended where rows are missing: {text}"))
     common = float(np.median(medians)) if time_step is None else time_step
     uneven = np.zeros(len(time), bool)
-    uneven[inside] = np.abs(medians - common) > _RATE_TOLERANCE * common
+    uneven[inside] = np.abs(medians - common) > RATE_TOLERANCE * common
     if uneven.any():
         low, high = float(medians.min()), float(medians.max())
         findings.append(

@@ -279,16 +279,20 @@ def _order_and_gaps(
     if episode is None and (ends is None or not ends.any()):
         fact = "no end of an episode was given" if ends is None else "no row is marked as the end of an episode"
         raise DatasetError(
-            f"{source}: {fact}, so episodes cannot be told apart; pass terminated=, truncated= or episode=, the name "
-            f"of a column (episode=0 if all rows are one episode); the table has {', '.join(table.names[:40])}"
+            f"{source}: {fact}, so episodes cannot be told apart; the table has {', '.join(table.names[:40])}",
+            remedies=[
+                "name the column of ids with episode=",
+                "a column of end flags with terminated= or truncated=",
+                "pass episode=0 if all rows are one episode",
+            ],
         )
     by_time = [name for name in (meaning.episode, meaning.time) if isinstance(name, str)]
     if isinstance(meaning.episode, str) and episode is not None:
         remedy = f"pass sort_by={by_time}" + ("" if meaning.time else " with the column of the time in the end")
-        row_order.refuse_scattered(source, meaning.episode, episode, numbers, f"{remedy}, or use unique ids")
+        row_order.refuse_scattered(source, meaning.episode, episode, numbers, [remedy, "use unique ids"])
     if meaning.time is None or time is None:
         return {}
-    sorting = "remove rows that were logged twice" if meaning.sort_by else f"pass sort_by={by_time} to sort the rows"
+    sorting = [] if meaning.sort_by else [f"pass sort_by={by_time} to sort the rows"]
     first = row_order.first_rows(episode, ends, table.rows)
     clock = row_order.read_clock(
         source,
@@ -298,7 +302,11 @@ def _order_and_gaps(
         numbers,
         time_step=meaning.time_step,
         on_gap=meaning.on_gap,
-        remedy=f"{sorting}, or name the column that tells episodes apart with episode=",
+        remedies=[
+            *sorting,
+            "name the column that tells episodes apart with episode=",
+            "remove rows that were logged twice or out of order",
+        ],
     )
     findings.extend(clock.findings)
     if clock.gaps.any():
