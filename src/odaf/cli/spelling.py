@@ -13,7 +13,7 @@ from collections.abc import Iterable
 from odaf.errors import OPTION, OdafError
 
 # What may follow the sign: a text, a list, a number, or a word of Python.
-_VALUE = re.compile(r"\"[^\"]*\"|'[^']*'|[\[({][^\])}]*[\])}]|-?\d+(?:\.\d+)?(?:e[+-]?\d+)?|None|True|False")
+_VALUE = re.compile(r"\"[^\"]*\"|'[^']*'|\[[^\]]*\]|\{[^}]*\}|\([^)]*\)|-?\d+(?:\.\d+)?(?:e[+-]?\d+)?|None|True|False")
 
 # What Python says with a value of another kind has an option of its own on the command line.
 _NUMBER_OF = {"reward": "--constant-reward {}", "episode": "--single-episode"}
@@ -49,8 +49,8 @@ def explained(error: OdafError) -> str:
         return message
     place = text.partition(": ")[0]
     file = shlex.quote(place) if os.path.exists(place) else "FILE"
-    first = next((remedy for remedy in error.takeable() if OPTION.search(remedy)), "")
-    wanted = _flags(first) or "[options]"
+    first = next((remedy for remedy in error.takeable() if OPTION.search(remedy)), text)
+    wanted = _flags(first)
     return f"{message}. This command takes no such option; first run `odaf data import {file} {wanted} --out NEW.h5`"
 
 

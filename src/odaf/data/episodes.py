@@ -116,8 +116,11 @@ def _starts_from_flags(source: str, terminated: np.ndarray, truncated: np.ndarra
     if not ends.any():
         fact = "no row is marked in 'terminated' or 'truncated'" if flags_given else "no end of an episode was given"
         raise DatasetError(
-            f"{source}: {fact}, so episodes cannot be told apart; "
-            "pass terminated=, truncated= or episode= (a constant id if all rows are one episode)"
+            f"{source}: {fact}, so episodes cannot be told apart",
+            remedies=[
+                "pass episode=, the ids (a constant one if all rows are one episode)",
+                "pass terminated= or truncated=, which mark the ends",
+            ],
         )
     starts = np.append(0, np.flatnonzero(ends) + 1)
     return starts[starts < len(ends)].astype(np.int64)

@@ -134,7 +134,7 @@ def action_bounds(source: str, actions: np.ndarray, names: tuple[str, ...], boun
     act_dim = actions.shape[1]
     if bounds is None:
         pair = np.stack([actions.min(axis=0), actions.max(axis=0)])
-        remedy = "the column never changes, so its range is unknown: pass action_bounds"
+        remedy = "the column never changes, so its range is unknown: pass action_bounds="
     elif isinstance(bounds, Mapping):
         missing = [name for name in names if name not in bounds]
         unknown = [name for name in bounds if name not in names]
@@ -184,7 +184,8 @@ def outside_bounds(
         raise DatasetError(
             f"{source}: field 'actions' leaves its bounds in {name_rows(any_in_row(far), row_numbers)}: "
             f"column {index} is {actions[row, index]} in row {number_of(row, len(far), row_numbers)}, "
-            f"allowed [{low[index]}, {high[index]}]; pass the true action_bounds, or clip the actions before"
+            f"allowed [{low[index]}, {high[index]}]",
+            remedies=["pass the true action_bounds=", "clip the actions before"],
         )
     return outside
 

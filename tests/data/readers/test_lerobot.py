@@ -1,14 +1,15 @@
 """LeRobot folders of versions 2 and 3, written by the test."""
 
+import inspect
 import json
 
 import numpy as np
 import polars as pl
 import pytest
 
-from odaf.data import Dataset
+from odaf.data import Dataset, readers
 from odaf.data.readers import lerobot
-from odaf.errors import DatasetError
+from odaf.errors import OPTION, DatasetError
 
 LENGTHS = (4, 3, 5)
 
@@ -97,10 +98,63 @@ def test_what_is_optional(tmp_path):
 
 def test_no_reward_needs_a_choice(tmp_path):
     path = folder(tmp_path / "arm", frames(**{"next.reward": None}), 3.0)
-    with pytest.raises(DatasetError, match=r"has no column 'next.reward'.*pass reward=.*0\.0 for cloning; there"):
+    with pytest.raises(DatasetError, match=r"pass reward=0\.0 for cloning, or name another"):
         lerobot.read(path)
     assert not Dataset.from_log(lerobot.read(path, reward=0.0)).rewards.any()
     np.testing.assert_array_equal(lerobot.read(path, reward="index").columns["rewards"][:, 0], np.arange(12))
+
+
+def test_time_stamps_at_another_rate_than_promised_name_both_and_the_way_out(tmp_path):
+    path = folder(tmp_path / "arm", frames(), 3.0, fps=30)
+    with pytest.raises(DatasetError, match=r"is 30, .*0\.1 apart.*pass time_step=0\.1 ") as caught:
+        readers.read(path)
+    assert 'time="frame_index"' in str(caught.value) and "next_observations" not in str(caught.value)
+    assert readers.read(path, time_step=0.1).provenance["time_step"] == 0.1
+    counted = readers.read(path, time="frame_index")
+    assert counted.provenance["time_step"] == 1.0 and not counted.findings
+    with pytest.raises(DatasetError, match="fps in meta/info.json is 5, .*10 a second"):
+        readers.read(folder(tmp_path / "slow", frames(), 2.1, fps=5))
+
+
+def test_single_precision_is_too_coarse_for_the_time_of_day(tmp_path):
+    stamps = (np.arange(12) / 10 + 1.7e9).astype(np.float32)
+    with pytest.raises(DatasetError, match=r'told apart only if 128 lie between them.*pass time="frame_index"'):
+        readers.read(folder(tmp_path / "arm", frames(timestamp=stamps), 3.0))
+    path = folder(tmp_path / "uncounted", frames(timestamp=stamps, frame_index=None), 3.0)
+    with pytest.raises(DatasetError, match="; store the times in double precision"):
+        readers.read(path)
+    exact = np.arange(12) / 10 + 1.7e9
+    assert len(readers.read(folder(tmp_path / "exact", frames(timestamp=exact), 3.0))) == 12
+
+
+def test_an_episode_that_lies_in_two_files_names_both_and_one_that_goes_on_is_read(tmp_path):
+    path = folder(tmp_path / "arm", frames(), 3.0)
+    chunk = path / "data" / "chunk-000"
+    (chunk / "file-002.parquet").write_bytes((chunk / "file-000.parquet").read_bytes())
+    with pytest.raises(DatasetError, match=r"episode 0 lies in file-000.parquet and again in file-002.parquet; remove"):
+        readers.read(path)
+    table = frames()
+    table[:6].write_parquet(chunk / "file-000.parquet")
+    table[6:].write_parquet(chunk / "file-001.parquet")
+    (chunk / "file-002.parquet").unlink()
+    assert Dataset.from_log(readers.read(path)).num_episodes == 3
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"timestamp": np.zeros(12)},
+        {"timestamp": -np.arange(12) / 10},
+        {"episode_index": np.tile([0, 1], 6)},
+        {"next.reward": None},
+        {"action": np.full((12, 1), np.nan)},
+    ],
+)
+@pytest.mark.parametrize("version", [2.1, 3.0])
+def test_refusals_name_no_option_that_the_layout_lacks(changes, version, tmp_path):
+    with pytest.raises(DatasetError) as caught:
+        Dataset.from_log(readers.read(folder(tmp_path / "arm", frames(**changes), version)))
+    assert set(OPTION.findall(str(caught.value))) <= set(inspect.signature(lerobot.read).parameters)
 
 
 def test_a_flag_that_only_marks_every_end_is_doubted(tmp_path):

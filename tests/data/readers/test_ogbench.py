@@ -40,7 +40,7 @@ def test_last_stored_row_is_a_successor_only(write):
 
 
 def test_rewards_must_be_given(write, tmp_path):
-    with pytest.raises(DatasetError, match='maze.npz: OGBench files hold no rewards; pass goal=.*reward="zero"'):
+    with pytest.raises(DatasetError, match=r"maze.npz: OGBench files hold no rewards; pass goal=.*reward=0\.0"):
         Dataset.load(write())
     rewards = np.arange(7.0)
     np.save(tmp_path / "rewards.npy", rewards)
@@ -66,7 +66,7 @@ def test_reward_of_a_goal_ends_the_task_where_it_is_reached(write):
     assert not Dataset.load(write(), goal=(90.0, 90.0)).terminated.any()
     with pytest.raises(DatasetError, match="goal= needs positions in field 'qpos'"):
         Dataset.load(write(without=["qpos"]), goal=(0.0, 0.0))
-    with pytest.raises(DatasetError, match="goal_radius -1.0; give two numbers"):
+    with pytest.raises(DatasetError, match="goal_radius=-1.0: give two numbers"):
         Dataset.load(write(), goal=(0.0, 0.0), goal_radius=-1.0)
 
 

@@ -19,7 +19,7 @@ _FLAT = ("observations", "actions", "rewards", "terminals")
 
 
 def read(
-    path: Path, *, observations: Sequence[int] | None = None, action_bounds: validation.Bounds | None = None
+    path: Path, *, observations: Sequence[int | str] | None = None, action_bounds: validation.Bounds | None = None
 ) -> Log:
     """The log in a d3rlpy buffer file; its large columns stay in the file until they are sliced.
 
@@ -35,13 +35,14 @@ def read(
         DatasetError: an older version, a missing or odd field, or actions that are whole numbers, which d3rlpy writes
             for discrete actions.
     """
+    chosen = None if observations is None else _entries(os.fspath(path), observations)
     with storage.opened(path) as (file, source), storage.reading(source):
         keys = set(hdf5.keys(file))
         if "columns" in keys or "num_episodes" in keys:
             _refuse_old_version(file, source)
-            columns, version = _episodes(path, file, source, keys, observations)
+            columns, version = _episodes(path, file, source, keys, chosen)
         else:
-            columns, version = _flat(path, file, source, keys, observations)
+            columns, version = _flat(path, file, source, keys, chosen)
         if columns["actions"].dtype.kind != "f":
             raise DatasetError(
                 f"{source}: field 'actions' holds {columns['actions'].dtype} values, which d3rlpy writes for discrete "
@@ -54,6 +55,14 @@ def read(
         action_bounds=action_bounds,
         provenance={"file": os.path.basename(source), "version": version},
     )
+
+
+def _entries(source: str, given: Sequence[int | str]) -> list[int]:
+    """Numbers of entries, which a command line gives as texts."""
+    try:
+        return [int(entry) for entry in given]
+    except (TypeError, ValueError) as error:
+        raise DatasetError(f"{source}: observations={given!r}: give the numbers of entries, as in [0, 1]") from error
 
 
 def _refuse_old_version(file: h5py.File, source: str) -> None:

@@ -69,7 +69,7 @@ def read(
     if d4rl_compat:
         kept, episode, terminated = _compat_rows(terminals, timeouts, max_episode_steps)
         if len(kept) == 0:
-            raise DatasetError(f"{source}: d4rl_compat drops all {rows} rows; read the file without it")
+            raise DatasetError(f"{source}: d4rl_compat= drops all {rows} rows; read the file without it")
         columns, infos = _taken(source, columns, infos, kept, rows)
         columns |= {"terminated": terminated, "episode": episode}
     else:
@@ -116,8 +116,7 @@ def refuse_other_layouts(file: h5py.File, source: str) -> None:
     if any(key.startswith("episode_") for key in keys):
         raise DatasetError(
             f"{source}: holds one group per episode ({', '.join(keys[:3])}, ...), as Minari writes; "
-            "concatenate the episodes and use Dataset.from_arrays(..., episode=ids), "
-            "or give Minari's folder, which is read as it is"
+            "give Minari's folder, which is read as it is, or pass the joined episodes to Dataset.from_arrays"
         )
     if not any(name in keys for name in REQUIRED):
         raise DatasetError(
@@ -139,14 +138,15 @@ def _checked_timeouts(
     if timeouts is None and limit is None:
         raise DatasetError(
             f"{source}: field 'timeouts' is missing or marks nothing, so a time limit cannot be told from the middle "
-            "of an episode; pass max_episode_steps= (1000 for the locomotion tasks)"
+            "of an episode",
+            remedies=["pass max_episode_steps=1000 for the locomotion tasks, or the limit of another task"],
         )
     if timeouts is not None and limit is not None:
         raise DatasetError(
             f"{source}: max_episode_steps={limit} was given but the file has its own 'timeouts'; leave the option out"
         )
     if limit is not None and limit < 1:
-        raise DatasetError(f"{source}: max_episode_steps is {limit}; give the time limit, 1 or more")
+        raise DatasetError(f"{source}: max_episode_steps={limit}: give the time limit, 1 or more")
     return timeouts
 
 

@@ -149,9 +149,11 @@ def _joined(files: Sequence[Path], source: str, names: Sequence[str]) -> pl.Data
         with table_sources.reading(table.source):
             frames.append(pl.read_parquet(file, columns=list(names), glob=False, hive_partitioning=False))
         for episode in frames[-1][EPISODE].unique().to_list():
-            if episode in homes:
+            home = homes.get(episode)
+            goes_on = len(frames) > 1 and frames[-2][EPISODE][-1] == episode == frames[-1][EPISODE][0]
+            if home is not None and not goes_on:
                 raise DatasetError(
-                    f"{source}: episode {episode} lies in {homes[episode].name} and again in {file.name}; remove the "
+                    f"{source}: episode {episode} lies in {home.name} and again in {file.name}; remove the "
                     "file that is there twice, or give each episode an id of its own in column 'episode_index'"
                 )
             homes[episode] = file

@@ -19,7 +19,7 @@ _READ = (*REQUIRED, "rewards", "masks")
 def read(
     path: Path,
     *,
-    reward: str | os.PathLike[str] | np.ndarray | None = None,
+    reward: str | os.PathLike[str] | np.ndarray | float | None = None,
     goal: Sequence[float] | None = None,
     goal_radius: float = 1.0,
     action_bounds: validation.Bounds | None = (-1.0, 1.0),
@@ -32,7 +32,8 @@ def read(
 
     Args:
         path: an `.npz` file.
-        reward: "zero"; or one number per stored row, as an array or the path of an `.npy` file.
+        reward: a number that every row earned ("zero" for 0.0); or one number per stored row, as an array or the path
+            of an `.npy` file.
         goal: (x, y) of the mazes' goal. The reward is 0 where the position of the row lies within `goal_radius`, and
             -1 elsewhere; the task ends there (`terminated`), so that nothing is expected afterwards, although the
             trajectory goes on: its remaining rows form further episodes. The position is `qpos[:, :2]`.
@@ -117,26 +118,30 @@ def _reached(source: str, positions: np.ndarray | None, goal: Sequence[float], r
     try:
         centre = np.array(goal, np.float64)
     except (ValueError, TypeError) as error:
-        raise DatasetError(f"{source}: goal is {goal!r}; give two numbers, (x, y)") from error
+        raise DatasetError(f"{source}: goal={goal!r}: give two numbers, (x, y)") from error
     if centre.shape != (2,) or not np.isfinite(centre).all() or not radius > 0:
         raise DatasetError(
-            f"{source}: goal is {goal!r} and goal_radius {radius}; give two numbers, (x, y), and a radius above 0"
+            f"{source}: goal={goal!r} and goal_radius={radius}: give two numbers, (x, y), and a radius above 0"
         )
     return np.linalg.norm(positions[:, :2].astype(np.float64) - centre, axis=1) <= radius
 
 
 def _given_rewards(
-    source: str, reward: str | os.PathLike[str] | np.ndarray | None, goal: Sequence[float] | None, rows: int
+    source: str, reward: str | os.PathLike[str] | np.ndarray | float | None, goal: Sequence[float] | None, rows: int
 ) -> np.ndarray:
     if goal is not None:
         raise DatasetError(f"{source}: reward= and goal= were both given; say what the rewards are in one way")
     if reward is None:
         raise DatasetError(
-            f"{source}: OGBench files hold no rewards; pass goal=(x, y) for a maze, reward= with an array or .npy file "
-            'of one number per stored row, or reward="zero"'
+            f"{source}: OGBench files hold no rewards",
+            remedies=[
+                "pass goal=(x, y) for a maze",
+                "reward= with an .npy file of one number per stored row",
+                "reward=0.0 for cloning",
+            ],
         )
-    if isinstance(reward, str) and reward == "zero":
-        return np.zeros(rows, np.float32)
+    if isinstance(reward, (int, float)) or (isinstance(reward, str) and reward == "zero"):
+        return np.full(rows, 0.0 if isinstance(reward, str) else reward, np.float32)
     values = reward if isinstance(reward, np.ndarray) else numpy_files.read_single(reward)
     if values.shape not in ((rows,), (rows, 1)):
         raise DatasetError(f"{source}: reward has shape {values.shape}; give one number for each of {rows:,} rows")

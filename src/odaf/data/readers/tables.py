@@ -292,7 +292,9 @@ def _order_and_gaps(
         row_order.refuse_scattered(source, meaning.episode, episode, numbers, [remedy, "use unique ids"])
     if meaning.time is None or time is None:
         return {}
-    sorting = [] if meaning.sort_by else [f"pass sort_by={by_time} to sort the rows"]
+    remedies = ["remove rows that were logged twice", "name the column that tells episodes apart with episode="]
+    if not meaning.sort_by:
+        remedies.insert(0, f"pass sort_by={by_time} to sort the rows")
     first = row_order.first_rows(episode, ends, table.rows)
     clock = row_order.read_clock(
         source,
@@ -302,11 +304,7 @@ def _order_and_gaps(
         numbers,
         time_step=meaning.time_step,
         on_gap=meaning.on_gap,
-        remedies=[
-            *sorting,
-            "name the column that tells episodes apart with episode=",
-            "remove rows that were logged twice or out of order",
-        ],
+        remedies=remedies,
     )
     findings.extend(clock.findings)
     if clock.gaps.any():
