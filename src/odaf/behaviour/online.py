@@ -23,6 +23,7 @@ from odaf.algorithms.base import Metrics
 from odaf.algorithms.truncated_quantile_critics import TQCState, TruncatedQuantileCritics
 from odaf.behaviour.replay import Replay, unpack
 from odaf.data.spec import Spec
+from odaf.data.writing import write_text
 from odaf.environments.gaussian_policy import GaussianPolicy
 from odaf.environments.locomotion import TIME_LIMIT, Simulator, Task, task_of
 from odaf.environments.reference_returns import REFERENCES
@@ -289,7 +290,7 @@ def _start(
     curve = directory / "curve.jsonl"
     saved = checkpoints.listed(directory / "checkpoints")
     if not saved:
-        curve.write_text("", encoding="utf-8")
+        write_text(curve, "")
         observation = simulator.reset(int(rng.integers(2**31)))
         return state, _Position(0, rng, observation, 0, 0.0)
     header = saved[-1].header()
@@ -298,7 +299,7 @@ def _start(
     lines = [
         line for line in curve.read_text(encoding="utf-8").splitlines() if json.loads(line)["step"] <= header["step"]
     ]
-    curve.write_text("".join(line + "\n" for line in lines), encoding="utf-8")
+    write_text(curve, "".join(line + "\n" for line in lines))
     observation = np.array(header["observation"])
     return saved[-1].load(state), _Position(header["step"], rng, observation, header["elapsed"], header["seconds"])
 

@@ -11,6 +11,7 @@ import tyro
 
 from odaf.cli.interrupts import repeatable
 from odaf.cli.options import parse
+from odaf.cli.outputs import DATASET, check_outputs
 from odaf.cli.results import number, print_report, table
 from odaf.errors import ConfigError
 
@@ -64,6 +65,8 @@ class GenerateOptions:
     exact: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     """medium-replay only: train a policy from scratch in this directory, which takes hours, and keep its true replay
     buffer; a run that is there is gone on with."""
+    force: bool = False
+    """Write over a file of another kind, if one is there."""
 
 
 @dataclass(frozen=True)
@@ -82,6 +85,7 @@ class InfoOptions:
 def generate(arguments: list[str]) -> None:
     """Entry point of `odaf data generate`."""
     options = parse(GenerateOptions, arguments, "data generate")
+    check_outputs({"--out": (options.out, DATASET)}, [_map_file(options), options.exact], options.force)
     began = time.monotonic()
     dataset = _maze_data(options) if options.name == "pointmaze-stitch" else _locomotion_data(options)
     seconds = time.monotonic() - began
@@ -206,6 +210,11 @@ def _locomotion_data(options: GenerateOptions) -> "Dataset":
 
     transitions = 100_000 if options.transitions is None else options.transitions
     return generate(options.name, transitions, options.seed, version, progress)
+
+
+def _map_file(options: GenerateOptions) -> Path | None:
+    """The file that describes the maze, where one was named."""
+    return None if options.maze is None or not Path(options.maze).is_file() else Path(options.maze)
 
 
 def _config(maze: str) -> "StitchConfig":

@@ -9,6 +9,7 @@ import tyro
 
 from odaf.cli.bars import rows_bar
 from odaf.cli.options import parse
+from odaf.cli.outputs import CHECK_REPORT, check_outputs
 from odaf.cli.readers import ReaderOptions, require_file
 from odaf.cli.results import print_report
 
@@ -30,14 +31,18 @@ class CheckOptions(ReaderOptions):
     """Write the report there too, with means, spreads and ranges of all columns."""
     env: Annotated[str | None, tyro.conf.arg(metavar="ID")] = None
     """Environment whose observations and actions the rows must fit, such as Hopper-v4."""
+    force: bool = False
+    """Write over a file of another kind, if one is there."""
 
 
 def run(arguments: list[str]) -> int:
     """Entry point of the command."""
     options = parse(CheckOptions, arguments, "data check")
     require_file(options.file)
+    check_outputs({"--json": (options.json, CHECK_REPORT)}, options.files_read(options.file), options.force)
 
     from odaf.data.checks import check_file
+    from odaf.data.writing import write_text
 
     widths = None if options.env is None else _widths(options.env)
     with rows_bar("checking") as progress:
@@ -45,7 +50,7 @@ def run(arguments: list[str]) -> int:
     print_report(report)
     if options.json is not None:
         text = json.dumps(report.to_dict(), indent=2, allow_nan=False, ensure_ascii=False)
-        options.json.write_text(text + "\n", encoding="utf-8")
+        write_text(options.json, text + "\n")
     return report.exit_code(options.strict)
 
 

@@ -8,6 +8,7 @@ import tyro
 
 from odaf.cli.bars import share_bar
 from odaf.cli.options import parse
+from odaf.cli.outputs import D4RL, MINARI, check_outputs
 
 
 @dataclass(frozen=True)
@@ -25,11 +26,14 @@ class ConvertOptions:
     """File to write; for Minari, the folder to make."""
     id: Annotated[str | None, tyro.conf.arg(metavar="TEXT")] = None
     """Minari's name of the data set, such as tank/valve-v0; without it, made of the folder's name."""
+    force: bool = False
+    """Write over a file of another kind, or replace a Minari folder, if one is there."""
 
 
 def run(arguments: list[str]) -> None:
     """Entry point of the command."""
     options = parse(ConvertOptions, arguments, "data convert")
+    check_outputs({"--out": (options.out, D4RL if options.to == "d4rl" else MINARI)}, [options.file], options.force)
 
     from odaf.data import Dataset, convert
 
@@ -39,5 +43,5 @@ def run(arguments: list[str]) -> None:
         if options.to == "d4rl":
             convert.to_d4rl(dataset, options.out, progress)
         else:
-            convert.to_minari(dataset, options.out, options.id, progress)
+            convert.to_minari(dataset, options.out, options.id, progress, replace=options.force)
     print(f"wrote {options.out}: {len(dataset):,} transitions in the layout of {options.to}")

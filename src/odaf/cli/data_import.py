@@ -8,6 +8,7 @@ import tyro
 
 from odaf.cli.bars import rows_bar
 from odaf.cli.options import parse
+from odaf.cli.outputs import DATASET, check_outputs
 from odaf.cli.readers import ReaderOptions, require_file
 from odaf.cli.results import number, print_report
 
@@ -29,12 +30,15 @@ class ImportOptions(ReaderOptions):
     """File to write."""
     accept: Annotated[tuple[str, ...], tyro.conf.arg(metavar="CHECK [CHECK ...]")] = ()
     """Checks whose errors are accepted, by the name in the report; they are recorded in the file."""
+    force: bool = False
+    """Write over a file of another kind, if one is there."""
 
 
 def run(arguments: list[str]) -> None:
     """Entry point of the command."""
     options = parse(ImportOptions, arguments, "data import")
     require_file(options.file)
+    check_outputs({"--out": (options.out, DATASET)}, options.files_read(options.file), options.force)
 
     from odaf.data.checks import known, open_log
     from odaf.data.ingestion import ingest

@@ -8,6 +8,7 @@ import tyro
 
 from odaf.cli.bars import share_bar
 from odaf.cli.options import parse
+from odaf.cli.outputs import DATASET, check_outputs
 from odaf.cli.results import number
 from odaf.errors import ConfigError
 
@@ -36,6 +37,8 @@ class MixOptions:
     """Rows of the mixture; without it, as many as the poorer data have. Not with --per-batch."""
     per_batch: bool = False
     """Keep all rows, and mix in training, batch by batch."""
+    force: bool = False
+    """Write over a file of another kind, if one is there."""
 
 
 def run(arguments: list[str]) -> None:
@@ -44,6 +47,7 @@ def run(arguments: list[str]) -> None:
 
     if options.per_batch and options.transitions is not None:
         raise ConfigError("--transitions: --per-batch keeps all rows of both; leave it out")
+    check_outputs({"--out": (options.out, DATASET)}, [options.expert, options.other], options.force)
 
     from odaf.data import Dataset
     from odaf.data.mixing import mix, mix_per_batch

@@ -7,6 +7,7 @@ from typing import Annotated
 import tyro
 
 from odaf.cli.options import parse
+from odaf.cli.outputs import PAGE, check_outputs
 
 
 @dataclass(frozen=True)
@@ -22,11 +23,14 @@ class PlotOptions:
     """HTML file to write."""
     title: Annotated[str | None, tyro.conf.arg(metavar="TEXT")] = None
     """Heading of the page; without it, the file's name."""
+    force: bool = False
+    """Write over a file of another kind, if one is there."""
 
 
 def run(arguments: list[str]) -> None:
     """Entry point of the command."""
     options = parse(PlotOptions, arguments, "data plot")
+    check_outputs({"--out": (options.out, PAGE)}, [options.file], options.force)
 
     from odaf.data import Dataset
     from odaf.report import data_page

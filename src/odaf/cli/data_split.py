@@ -8,6 +8,7 @@ import tyro
 
 from odaf.cli.bars import share_bar
 from odaf.cli.options import parse
+from odaf.cli.outputs import DATASET, check_outputs
 
 
 @dataclass(frozen=True)
@@ -24,11 +25,15 @@ class SplitOptions:
     """Share of the episodes to set aside."""
     seed: int = 0
     """The same seed sets the same episodes aside."""
+    force: bool = False
+    """Write over a file of another kind, if one is there."""
 
 
 def run(arguments: list[str]) -> None:
     """Entry point of the command."""
     options = parse(SplitOptions, arguments, "data split")
+    outputs = {"--train": (options.train, DATASET), "--holdout": (options.holdout, DATASET)}
+    check_outputs(outputs, [options.file], options.force)
 
     from odaf.data import Dataset
 

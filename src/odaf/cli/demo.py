@@ -8,6 +8,7 @@ import tyro
 
 from odaf.cli.interrupts import repeatable
 from odaf.cli.options import parse
+from odaf.cli.outputs import DATASET, DEMO_SUMMARY, PAGE, PICTURE, check_outputs
 
 
 @dataclass(frozen=True)
@@ -28,6 +29,9 @@ class DemoOptions:
 def run(arguments: list[str]) -> None:
     """Entry point of the command."""
     options = parse(DemoOptions, arguments, "demo")
+    if options.out.is_dir():
+        kinds = {"report.html": PAGE, "maze.png": PICTURE, "summary.json": DEMO_SUMMARY, "pointmaze-stitch.h5": DATASET}
+        check_outputs({name: (options.out / name, kind) for name, kind in kinds.items()}, [])
 
     from odaf.studies import demo
 

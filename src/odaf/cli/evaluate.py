@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from odaf.cli.options import parse
+from odaf.cli.outputs import ATTACK_SCORES, PICTURE, SCORES, check_outputs
 from odaf.cli.results import attack_table, estimated, number, score_table
 from odaf.errors import ConfigError
 
@@ -73,6 +74,8 @@ class EvaluateOptions:
     """Start locomotion off its pose by so many standard deviations of the log, for instance 0.1; no published test."""
     data: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """File of the run's data, for the recovery time after a knock; without it, where the run found them."""
+    force: bool = False
+    """Write over files of another kind, if they are there."""
 
 
 def run(arguments: list[str]) -> None:
@@ -88,6 +91,8 @@ def run(arguments: list[str]) -> None:
         _refuse(options, _ATTACK_ONLY, "--attack NAME")
     if not disturbed:
         _refuse(options, _KNOCK_ONLY, "--knock LEVEL")
+    outputs = {"--json": (options.json, ATTACK_SCORES if attacked else SCORES), "--plot": (options.plot, PICTURE)}
+    check_outputs(outputs, [options.directory, options.attacker, options.data], options.force)
     if attacked:
         _under_attack(options)
     elif disturbed:

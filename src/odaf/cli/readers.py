@@ -73,6 +73,11 @@ class ReaderOptions:
     d4rl_compat: bool = False
     """The rows that D4RL's own `qlearning_dataset` returns, for comparisons."""
 
+    def files_read(self, file: Path) -> list[Path]:
+        """Files and folders that a command reads: `file`, and one of rewards where --reward names that."""
+        rewards = [] if self.reward is None or not Path(self.reward).is_file() else [Path(self.reward)]
+        return [file, *rewards]
+
     def for_reader(self) -> dict[str, Any]:
         """Those options that were given, as `odaf.data.readers.read` takes them."""
         given = {field.name: getattr(self, field.name) for field in fields(ReaderOptions) if field.name != "format"}

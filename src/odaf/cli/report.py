@@ -7,6 +7,7 @@ from typing import Annotated
 import tyro
 
 from odaf.cli.options import parse
+from odaf.cli.outputs import PAGE, check_outputs
 from odaf.errors import ConfigError
 
 
@@ -23,6 +24,8 @@ class ReportOptions:
     """HTML file to write."""
     title: Annotated[str | None, tyro.conf.arg(metavar="TEXT")] = None
     """Heading of the page; without it, the names of the methods."""
+    force: bool = False
+    """Write over a file of another kind, if one is there."""
 
 
 def run(arguments: list[str]) -> None:
@@ -30,6 +33,7 @@ def run(arguments: list[str]) -> None:
     options = parse(ReportOptions, arguments, "report")
     if not options.directories:
         raise ConfigError("name at least one run directory, as in `odaf report runs/maze --out report.html`")
+    check_outputs({"--out": (options.out, PAGE)}, options.directories, options.force)
 
     from odaf import report
 

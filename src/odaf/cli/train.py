@@ -78,8 +78,10 @@ def train(preset: str, algorithm: Any, options: RunOptions) -> None:
     from odaf.data import Dataset
     from odaf.runs.fit import fit
     from odaf.runs.side_by_side import default_workers
+    from odaf.training.run_directory import refuse_foreign
 
     use_compilation_cache(options.compilation_cache)
+    refuse_foreign(options.out)
     dataset = Dataset.load(options.data)
     with resumable(options.out):
         result = fit(

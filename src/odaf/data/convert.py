@@ -12,6 +12,7 @@ import numpy as np
 from odaf.data import fingerprint, storage
 from odaf.data.dataset import Dataset
 from odaf.data.progress import Counter, Progress
+from odaf.data.writing import TEMPORARY_PREFIX
 from odaf.errors import DatasetError
 
 MINARI_VERSION = "0.5.0"
@@ -46,7 +47,11 @@ def to_d4rl(dataset: Dataset, path: str | os.PathLike[str], progress: Progress |
 
 
 def to_minari(
-    dataset: Dataset, path: str | os.PathLike[str], identity: str | None = None, progress: Progress | None = None
+    dataset: Dataset,
+    path: str | os.PathLike[str],
+    identity: str | None = None,
+    progress: Progress | None = None,
+    replace: bool = False,
 ) -> None:
     """Writes a folder in the layout of Minari 0.5 with HDF5 data: one group per episode.
 
@@ -55,9 +60,10 @@ def to_minari(
 
     Args:
         dataset: the data.
-        path: folder to make; it must not exist.
+        path: folder to make; it must not exist, unless it is to be replaced.
         identity: the data set's id, such as `tank/valve-v0`; None makes one of the folder's name.
         progress: told how far it has come, in episodes written.
+        replace: remove a folder that is there once the new one is complete.
 
     Raises:
         DatasetError: the folder exists or cannot be written, a stored successor differs from the next row, or batches
@@ -65,10 +71,11 @@ def to_minari(
     """
     _refuse_mixture(dataset, "Minari")
     path = Path(path)
-    if path.exists():
+    if path.exists() and not replace:
         raise DatasetError(f"{path}: exists already; name a new folder, or remove it first")
     _require_shifted(dataset)
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    place = Path(os.path.realpath(path))
+    partial, former = (place.with_name(f"{TEMPORARY_PREFIX}{os.getpid()}-{age}-{place.name}") for age in ("new", "old"))
     try:
         try:
             (partial / "data").mkdir(parents=True)
@@ -80,7 +87,16 @@ def to_minari(
             size = (partial / "data" / "main_data.hdf5").stat().st_size
             text = json.dumps(_minari_metadata(dataset, identity or f"{path.name}-v0", size))
             (partial / "data" / "metadata.json").write_text(text, encoding="utf-8")
-            os.replace(partial, path)
+            if not place.exists():
+                os.replace(partial, place)
+                return
+            os.replace(place, former)
+            try:
+                os.replace(partial, place)
+            except OSError:
+                os.replace(former, place)
+                raise
+            shutil.rmtree(former, ignore_errors=True)
         finally:
             shutil.rmtree(partial, ignore_errors=True)
     except OSError as error:

@@ -17,7 +17,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from odaf.data import fingerprint
+from odaf.data import fingerprint, writing
 from odaf.data.fingerprint import FIELDS, TEXTS
 from odaf.data.log import Log
 from odaf.data.mixture import Mixture
@@ -65,19 +65,12 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
     Raises:
         DatasetError: the folder does not exist or cannot be written to.
     """
-    path = Path(path)
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
-        try:
+        with writing.replacing(path) as partial:
             yield partial
-            with open(partial, "rb+") as handle:
-                os.fsync(handle.fileno())
-            os.replace(partial, path)
-        finally:
-            partial.unlink(missing_ok=True)
     except OSError as error:
         raise DatasetError(
-            f"{path}: cannot be written ({error}); choose a folder that exists and is writable"
+            f"{os.fspath(path)}: cannot be written ({error}); choose a folder that exists and is writable"
         ) from error
 
 

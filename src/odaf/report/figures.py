@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
+from odaf.data.writing import write_atomically
 from odaf.errors import ConfigError
 from odaf.report.extras import check_extra
 from odaf.report.quantities import Curve
 from odaf.report.records import RunRecord, find_runs, read_run
 from odaf.report.scores import labels, score
 from odaf.runs.evaluate_attacks import AttackCurve
-from odaf.training.files import write_atomically
 
 RESOLUTION = 180  # dots per inch
 

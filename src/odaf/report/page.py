@@ -8,6 +8,7 @@ from pathlib import Path
 import jinja2
 
 import odaf
+from odaf.data.writing import write_atomically
 from odaf.errors import ConfigError
 from odaf.report import charts, paths
 from odaf.report.configuration import ABSENT, differences
@@ -16,7 +17,6 @@ from odaf.report.layout import maze_layout
 from odaf.report.records import RunRecord, find_runs, optional, read_run
 from odaf.report.scores import Score, headline_index, labels, normalised, score
 from odaf.report.svg import variables
-from odaf.training.files import write_atomically
 
 _NOT_SETTINGS = ("format", "version")
 

@@ -19,8 +19,9 @@ import jax
 import jax.numpy as jnp
 import jax.tree_util as jtu
 
+from odaf.data.writing import TEMPORARY_PREFIX, sync_directory, sync_file
 from odaf.errors import CheckpointError
-from odaf.training.files import TEMPORARY_PREFIX, read_json, sync_directory, sync_file, write_json
+from odaf.training.files import read_json, write_json
 
 FORMAT = "odaf-checkpoint"
 VERSION = 1

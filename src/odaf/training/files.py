@@ -2,31 +2,15 @@
 
 import json
 import math
-import os
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
 
+from odaf.data.writing import write_atomically, write_text
 from odaf.errors import CheckpointError
-
-# Names that start so belong to a write that has not finished; whoever opens the run directory next removes them.
-TEMPORARY_PREFIX = ".writing-"
-
-
-def write_atomically(path: Path, write: Callable[[BinaryIO], object]) -> None:
-    """Calls `write` with a file opened beside `path`, then renames it to `path` once it is safely on the disk."""
-    temporary = path.with_name(f"{TEMPORARY_PREFIX}{os.getpid()}-{path.name}")
-    try:
-        with temporary.open("wb") as file:
-            write(file)
-            sync_file(file)
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
-    sync_directory(path.parent)
 
 
 def write_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
@@ -44,7 +28,7 @@ def write_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
 def write_json(path: Path, content: Mapping[str, Any]) -> None:
     """Writes `content` as indented JSON, atomically. Numbers that are not finite become null."""
     text = json.dumps(finite(content), indent=2, allow_nan=False) + "\n"
-    write_atomically(path, lambda file: file.write(text.encode()))
+    write_text(path, text)
 
 
 def read_json(path: Path, remedy: str) -> dict[str, Any]:
@@ -78,21 +62,3 @@ def finite(value: Any) -> Any:
 def plain(value: Any) -> Any:
     """`value` as it comes back from a JSON file: tuples are lists, names are strings, all numbers are finite."""
     return json.loads(json.dumps(finite(value), allow_nan=False))
-
-
-def sync_file(file: Any) -> None:
-    """Hands everything written to `file` to the disk."""
-    file.flush()
-    os.fsync(file.fileno())
-
-
-def sync_directory(path: Path) -> None:
-    """Hands the names in a directory to the disk, so that a rename survives a power failure."""
-    try:
-        handle = os.open(path, os.O_RDONLY)
-    except OSError:  # not every platform opens directories; the rename itself is still atomic
-        return
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)

@@ -6,8 +6,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
+from odaf.data.writing import sync_file, write_atomically
 from odaf.errors import CheckpointError
-from odaf.training.files import finite, sync_file, write_atomically
+from odaf.training.files import finite
 
 
 @runtime_checkable

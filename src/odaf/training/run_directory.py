@@ -31,10 +31,11 @@ from odaf.algorithms.config import from_dict
 from odaf.data.dataset import Dataset
 from odaf.data.normalisation import Normaliser
 from odaf.data.spec import Spec
+from odaf.data.writing import TEMPORARY_PREFIX
 from odaf.errors import CheckpointError, ConfigError
 from odaf.training import checkpoints, lock, logging
 from odaf.training.checkpoints import Checkpoint
-from odaf.training.files import TEMPORARY_PREFIX, read_json, write_arrays, write_json
+from odaf.training.files import read_json, write_arrays, write_json
 from odaf.training.policy import Policy
 
 FORMAT = "odaf-run"

@@ -7,11 +7,11 @@ import jinja2
 
 import odaf
 from odaf.data import Dataset
+from odaf.data.writing import write_atomically
 from odaf.errors import ConfigError
 from odaf.report.data_page import pictures
 from odaf.report.drawing import DARK, LIGHT, plain_number
 from odaf.report.svg import variables
-from odaf.training.files import write_atomically
 
 
 def build(dataset: Dataset, out: Path, title: str) -> Path:
