@@ -100,7 +100,7 @@ def read(
         on_missing=on_missing,
     )
     meaning.check(source)
-    frame = _joined(files, source, meaning.columns())
+    frame = _joined(files, source, meaning.roles(source, names).columns)
     if time_step is None and time != FRAME:
         _refuse_another_rate(source, frame, time, info["fps"], names)
     facts = {name: info[name] for name in ("codebase_version", "robot_type", "fps") if name in info}

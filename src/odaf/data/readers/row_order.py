@@ -76,6 +76,7 @@ def read_clock(
     time_step: float | None,
     on_gap: OnGap,
     remedies: Sequence[str],
+    cut: np.ndarray | None = None,
 ) -> Clock:
     """The usual step and the gaps of each episode.
 
@@ -88,6 +89,7 @@ def read_clock(
         time_step: the usual step; None takes the median of each episode.
         on_gap: what a gap is: a mistake, or the end of an episode.
         remedies: what to do where time does not ascend.
+        cut: [rows] bool, after which rows the episode was cut already; there is no gap to tell of.
 
     Raises:
         DatasetError: time stands still or goes back inside an episode, or there is a gap and that is a mistake.
@@ -109,6 +111,8 @@ def read_clock(
     usual = np.full(len(time), np.inf)
     usual[inside] = medians if time_step is None else time_step
     gaps = inside & (step > GAP * usual)
+    if cut is not None:
+        gaps &= ~cut
     findings: list[dict[str, Any]] = []
     if gaps.any():
         row = int(np.flatnonzero(gaps)[0])

@@ -1,21 +1,22 @@
-"""The cells of one column as numbers, flags, ids or times. Each refusal names the column, the rows and the remedy."""
+"""The cells of one column as its source holds them, and how what is wrong with them is said.
 
-import re
-from dataclasses import dataclass
+Each refusal names the table, the column, the rows and the remedy.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import Literal, NoReturn
 
 import numpy as np
 import polars as pl
 
-from odaf.data.validation import RowNumbers, any_in_row, name_rows
+from odaf.data.validation import RowNumbers, name_rows
 from odaf.errors import DatasetError
 
-OnMissing = Literal["error", "nan"]
+OnMissing = Literal["error", "break", "nan"]
 
-_TRUE = ("true", "t", "yes", "1", "1.0")
-_FALSE = ("false", "f", "no", "0", "0.0")
-_MISSING = ("", "na", "n/a", "null", "none")
-_SECONDS = {"ns": 1e-9, "us": 1e-6, "ms": 1e-3}
+# Text that stands for a missing value in every text table, in small letters.
+MISSING = ("", "na", "n/a", "null", "none", "nan")
 
 
 @dataclass(frozen=True)
@@ -25,10 +26,11 @@ class Cells:
     Attributes:
         source: how messages name the table.
         name: the column's name.
-        values: the cells.
+        values: the cells; those that hold a word of `missing_values` are null.
         numbers: the rows' numbers in the source, as messages give them.
         parsed: whether text may stand for numbers, flags and times, as in CSV.
         decimal_comma: whether such text writes 1,5 for one and a half.
+        units_row: whether the first row may turn out to hold units, which the message then says.
     """
 
     source: str
@@ -37,218 +39,89 @@ class Cells:
     numbers: RowNumbers
     parsed: bool = False
     decimal_comma: bool = False
+    units_row: bool = False
 
 
-def as_numbers(cells: Cells, on_missing: OnMissing = "error") -> np.ndarray:
-    """[rows, width] float32; width is 1, or the common length of the lists in the cells.
+@dataclass
+class Holes:
+    """Rows in which a value is missing.
 
-    Args:
-        cells: numbers or bool, equally long lists of these, or text where the source holds nothing else.
-        on_missing: what an empty cell or NaN means: a mistake, or NaN.
-
-    Raises:
-        DatasetError: a cell is no number or too large for single precision, is missing, or its list has another length.
+    Attributes:
+        rows: how many rows there are.
+        by_column: [rows] bool by column, for those columns that miss some value.
     """
-    values = cells.values
-    if isinstance(values.dtype, (pl.List, pl.Array)):
-        return _expanded(cells, on_missing)
-    if values.dtype == pl.String and cells.parsed:
-        values = _parsed(cells, "number")
-    elif values.dtype == pl.Null:
-        values = values.cast(pl.Float64)
-    elif not _is_plain(values.dtype):
-        _refuse_type(cells)
-    return _single_precision(cells, values, 1, on_missing)
+
+    rows: int
+    by_column: dict[str, np.ndarray] = field(default_factory=dict)
+
+    def mark(self, name: str, missing: np.ndarray) -> None:
+        """Notes the rows in which a column has no value."""
+        if missing.any():
+            self.by_column[name] = self.by_column.get(name, np.zeros(self.rows, bool)) | missing
+
+    def mask(self) -> np.ndarray:
+        """[rows] bool: whether any column misses its value."""
+        return np.logical_or.reduce([np.zeros(self.rows, bool), *self.by_column.values()])
 
 
-def as_flags(cells: Cells) -> np.ndarray:
-    """[rows] bool, from bool, from numbers that are all 0 or 1, or from text such as `True`, `no` and `1`.
+def without(values: pl.Series, missing_values: Sequence[str]) -> pl.Series:
+    """`values` with null in place of what the caller says stands for a missing value.
 
-    Raises:
-        DatasetError: a cell is missing or neither true nor false.
+    Text is compared without regard to case and surrounding blanks, and words that are numbers with numbers too.
     """
-    values = cells.values
-    if values.dtype == pl.String and cells.parsed:
-        text = values.str.strip_chars().str.to_lowercase()
-        flags = text.is_in(_TRUE)
-        odd = ~(flags | text.is_in(_FALSE) | text.is_in(_MISSING)).fill_null(True)
-        values = flags.set(text.is_in(_MISSING), None)
-    elif values.dtype == pl.Boolean:
-        odd = pl.Series([False]).new_from_index(0, len(values))
-    elif _is_plain(values.dtype) or values.dtype == pl.Null:
-        values = values.cast(pl.Float64)
-        odd = ((values != 0) & (values != 1)).fill_null(False) & ~values.is_nan().fill_null(False)
-    else:
-        _refuse_type(cells)
-    if odd.any():
-        _refuse(cells, _mask(odd), "is neither true nor false", "use true and false, or 1 and 0, or derive the flag")
-    _refuse_missing(cells, values, "write true or false into every row")
-    return values.to_numpy().astype(bool)
-
-
-def as_ids(cells: Cells) -> np.ndarray:
-    """[rows] whole numbers or text: equal for the rows of one episode.
-
-    Raises:
-        DatasetError: a cell is missing or of a type that cannot name an episode.
-    """
-    values = cells.values
+    if not missing_values:
+        return values
+    words = [word.strip().lower() for word in missing_values]
     if values.dtype in (pl.Categorical, pl.Enum):
         values = values.cast(pl.String)
-    if values.dtype == pl.Boolean or isinstance(values.dtype, pl.Decimal):
-        values = values.cast(pl.Float64)
-    if values.dtype.is_temporal():
-        values = values.to_physical()
-    if not (values.dtype == pl.String or values.dtype.is_numeric() or values.dtype == pl.Null):
-        _refuse_type(cells, "an episode is named by a number or a text")
     if values.dtype == pl.String:
-        values = values.set(values.str.strip_chars() == "", None)
-    _refuse_missing(cells, values, "every row needs the id of its episode")
-    if values.dtype == pl.String:
-        whole = values.cast(pl.Int64, strict=False)
-        if (whole.cast(pl.String) == values).fill_null(False).all():
-            return whole.to_numpy()
-        return values.to_numpy().astype(str)
-    return values.to_numpy()
+        return values.set(values.str.strip_chars().str.to_lowercase().is_in(words), None)
+    marks = pl.Series(words).cast(pl.Float64, strict=False).drop_nulls()
+    if is_plain(values.dtype) and values.dtype != pl.Boolean and len(marks):
+        return values.set(values.cast(pl.Float64).is_in(marks.implode()), None)
+    return values
 
 
-def as_times(cells: Cells, format: str | None = None) -> np.ndarray:
-    """[rows] float64 seconds: numbers as they are, dates and times of day since their origin.
-
-    Args:
-        cells: numbers, dates, times, durations, or text that writes a number or a date as in ISO 8601.
-        format: how text writes a date where it is not ISO 8601, such as "%d.%m.%Y %H:%M:%S".
-
-    Raises:
-        DatasetError: a cell is missing, not finite or cannot be read as a time.
-    """
-    values = cells.values
-    if values.dtype == pl.String and (cells.parsed or format is not None):
-        values = _moments(cells, format)
-    if values.dtype == pl.Date:
-        values = values.cast(pl.Datetime("us"))
-    if isinstance(values.dtype, (pl.Datetime, pl.Duration)):
-        seconds = values.to_physical().cast(pl.Float64) * _SECONDS[str(values.dtype.time_unit)]
-    elif values.dtype == pl.Time:
-        seconds = values.to_physical().cast(pl.Float64) * 1e-9
-    elif _is_plain(values.dtype) or values.dtype == pl.Null:
-        seconds = values.cast(pl.Float64)
-    else:
-        _refuse_type(cells, "a time is a number of seconds or a date with its time")
-    _refuse_missing(cells, seconds, "every row needs its time")
-    array = seconds.to_numpy()
-    if not np.isfinite(array).all():
-        _refuse(cells, ~np.isfinite(array), "is not finite", "every row needs its time")
-    return array
-
-
-def _expanded(cells: Cells, on_missing: OnMissing) -> np.ndarray:
-    """The lists of a column side by side."""
-    values = cells.values
-    assert isinstance(values.dtype, (pl.List, pl.Array))
-    if not (_is_plain(values.dtype.inner) and (isinstance(values.dtype, pl.List) or len(values.dtype.shape) == 1)):
-        _refuse_type(cells, "a list must hold numbers, not lists or text")
-    _refuse_missing(cells, values, "every row needs its list")
-    sizes = values.list.len() if isinstance(values.dtype, pl.List) else values.arr.len()
-    lengths: np.ndarray = np.asarray(sizes.to_numpy())
-    width = int(lengths[0])
-    if (lengths != width).any():
-        row = int(np.flatnonzero(lengths != width)[0])
-        _refuse(
-            cells,
-            _mask(sizes != width),
-            f"holds lists of different lengths: {width} numbers in the first row, {lengths[row]} elsewhere",
-            "every row needs the same quantities; pad or cut the lists",
-        )
-    if width == 0:
-        _refuse(cells, _mask(sizes == 0), "holds empty lists", "name a column that has values")
-    return _single_precision(cells, values.explode(), width, on_missing)
-
-
-def _single_precision(cells: Cells, values: pl.Series, width: int, on_missing: OnMissing) -> np.ndarray:
-    if isinstance(values.dtype, pl.Decimal) or values.dtype == pl.Int128:
-        values = values.cast(pl.Float64)
-    missing = values.is_null() | values.is_nan() if values.dtype.is_float() else values.is_null()
-    if on_missing == "nan":
-        values = values.cast(pl.Float64).fill_null(np.nan) if values.null_count() else values
-    elif missing.any():
-        _refuse(
-            cells,
-            any_in_row(_mask(missing).reshape(-1, width)),
-            "has no value (empty or NaN)",
-            'fill the cells in, or pass on_missing="nan" to keep them as NaN and decide by their check',
-        )
-    array = values.to_numpy().reshape(-1, width)
-    with np.errstate(over="ignore"):
-        result = array.astype(np.float32)
-    over = np.isinf(result)
-    if over.any():
-        over &= np.isfinite(array)
-        if over.any():
-            _refuse(cells, any_in_row(over), "is too large for single precision", "change its unit")
-    return result
-
-
-def _parsed(cells: Cells, meaning: str) -> pl.Series:
-    """Text as Float64; the words for a missing value become null."""
-    text = cells.values.str.strip_chars()
-    text = text.set(text.str.to_lowercase().is_in(_MISSING), None)
-    point = text.str.replace(",", ".", literal=True) if cells.decimal_comma else text
-    result = point.cast(pl.Float64, strict=False)
-    wrong = result.is_null() & text.is_not_null()
-    if wrong.any():
-        first = str(text.filter(wrong)[0])
-        remedy = "correct the cells, or leave the column out"
-        if first.startswith(("[", "(")):
-            remedy = "it looks like a list: write one column for each number, or a Parquet file with a column of lists"
-        elif re.fullmatch(r"[+-]?\d+,\d+", first) and not cells.decimal_comma:
-            remedy = "it looks like a decimal comma: pass decimal_comma=True"
-        _refuse(cells, _mask(wrong), f"is not a {meaning}", remedy)
-    return result
-
-
-def _moments(cells: Cells, format: str | None) -> pl.Series:
-    """Text as Float64 seconds where it is a number, else as dates."""
-    text = cells.values.str.strip_chars()
-    text = text.set(text.str.to_lowercase().is_in(_MISSING), None)
-    if format is None and text.head(1).cast(pl.Float64, strict=False).null_count() == 0:
-        return _parsed(cells, "number of seconds, as the first row is")
-    try:
-        result = text.str.to_datetime(format, strict=False, time_unit="us")
-    except pl.exceptions.PolarsError:  # no format fits the first rows
-        result = pl.Series([None], dtype=pl.Datetime("us")).new_from_index(0, len(text))
-    wrong = result.is_null() & text.is_not_null()
-    if wrong.any():
-        fact = "cannot be read as a date in ISO 8601" if format is None else f"does not follow time_format {format!r}"
-        _refuse(cells, _mask(wrong), fact, 'say how it is written, as in time_format="%d.%m.%Y %H:%M:%S"')
-    return result
-
-
-def _is_plain(dtype: object) -> bool:
+def is_plain(dtype: object) -> bool:
     """Whether cells of this type are numbers or bool."""
     return isinstance(dtype, pl.DataType) and (dtype.is_numeric() or dtype == pl.Boolean)
 
 
-def _mask(marked: pl.Series) -> np.ndarray:
+def mask_of(marked: pl.Series) -> np.ndarray:
+    """[rows] bool."""
     return marked.to_numpy().astype(bool)
 
 
-def _refuse_missing(cells: Cells, values: pl.Series, remedy: str) -> None:
-    missing = values.is_null() | values.is_nan() if values.dtype.is_float() else values.is_null()
+def missing_in(values: pl.Series) -> np.ndarray:
+    """[rows] bool: null or NaN, told from the values themselves and not from what a file says of them."""
+    missing = mask_of(values.is_null())
+    if values.dtype.is_float():
+        missing |= np.isnan(values.to_numpy())
+    return missing
+
+
+def refuse_missing(cells: Cells, values: pl.Series, remedy: str, holes: Holes | None = None) -> np.ndarray:
+    """[rows] bool: which values are missing. Raises where some are, unless `holes` takes note of them."""
+    missing = missing_in(values)
     if missing.any():
-        _refuse(cells, _mask(missing), "has no value", remedy)
+        if holes is None:
+            refuse(cells, missing, "has no value", f'{remedy}, or pass on_missing="break" to leave such rows out')
+        holes.mark(cells.name, missing)
+    return missing
 
 
-def _refuse_type(cells: Cells, rule: str = "convert the column to numbers, or leave it out") -> NoReturn:
+def refuse_type(cells: Cells, rule: str = "convert the column to numbers, or leave it out") -> NoReturn:
+    """Raises because the column's type is none that its meaning allows."""
     kind = (
         "text" if cells.values.dtype in (pl.String, pl.Categorical, pl.Enum) else f"cells of type {cells.values.dtype}"
     )
     known = cells.values.is_not_null().to_numpy().astype(bool)
     marked = known if known.any() else ~known
-    _refuse(cells, marked, f"holds {kind}, not numbers", rule)
+    refuse(cells, marked, f"holds {kind}, not numbers", rule)
 
 
-def _refuse(cells: Cells, rows: np.ndarray, fact: str, remedy: str) -> NoReturn:
+def refuse(cells: Cells, rows: np.ndarray, fact: str, remedy: str) -> NoReturn:
+    """Raises `DatasetError` with the first of the marked rows and what stands there."""
     index = int(np.flatnonzero(rows)[0])
     value = cells.values[index]
     if isinstance(value, pl.Series):
