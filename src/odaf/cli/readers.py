@@ -19,10 +19,13 @@ class ReaderOptions:
     """The layout; without it, it is told from the contents."""
     observations: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="NAME [NAME ...]")] = None
     """Columns (tables) or entries (Minari's dictionaries) of what was seen before the action."""
+    observation: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="NAME=FORMULA")] = ()
+    """One more observation of a table, such as "error = level - setpoint"; may be given several times."""
     actions: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="NAME [NAME ...]")] = None
     """Columns of what was done."""
-    reward: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
-    """Column of what the action of the same row earned. For OGBench: zero, or an .npy file."""
+    reward: Annotated[str | None, tyro.conf.arg(metavar="NAME|FORMULA")] = None
+    """Column of what the action of the same row earned, or a formula over a table's columns, such as
+    "1 - abs(level - setpoint)". For OGBench: zero, or an .npy file."""
     constant_reward: Annotated[float | None, tyro.conf.arg(metavar="NUMBER")] = None
     """For tables and LeRobot folders without rewards, in place of --reward: every row earned this. Enough for
     cloning."""
@@ -58,8 +61,16 @@ class ReaderOptions:
     """Usual time between two rows, in seconds or the unit of the time column; without it, each episode's median."""
     time_format: Annotated[str | None, tyro.conf.arg(metavar="TEXT")] = None
     """How dates are written where not by ISO 8601, such as "%d.%m.%Y %H:%M:%S"."""
-    on_missing: Literal["error", "nan"] | None = None
-    """An empty cell among numbers: refuse the table (the default), or keep it as NaN, so that a check counts it."""
+    on_missing: Literal["error", "break", "nan"] | None = None
+    """An empty cell: refuse the table (the default), leave out its row and cut the episode there, or keep it as NaN,
+    so that a check counts it."""
+    missing_values: Annotated[str | None, tyro.conf.arg(metavar="WORD[,WORD...]")] = None
+    """What stands for a missing value in a table, beside an empty cell: "Bad,No Data" or -9999, in any case."""
+    lags: Annotated[int | None, tyro.conf.arg(metavar="INT")] = None
+    """So many earlier rows of a table's episode are seen too, as level_lag1, their actions included: against a dead
+    time between an action and its effect. The first rows of each episode are left out."""
+    differences: bool = False
+    """The change of each observation since the row before is seen too, as level_change."""
     separator: Annotated[str | None, tyro.conf.arg(metavar="CHARACTER")] = None
     """What parts the cells of a CSV file, such as ";" or the word tab; without it, the headings tell."""
     decimal_comma: bool = False
@@ -67,7 +78,9 @@ class ReaderOptions:
     encoding: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
     """How the CSV file writes letters, such as latin-1 or utf-16; without it, utf-8."""
     skip_rows: Annotated[int | None, tyro.conf.arg(metavar="INT")] = None
-    """Lines in front of the CSV file's headings; messages count them, as a spreadsheet does."""
+    """Lines in front of the CSV file's headings, empty ones and Excel's sep= aside; messages count them all."""
+    units_row: bool = False
+    """The row under the CSV file's headings holds units."""
     max_episode_steps: Annotated[int | None, tyro.conf.arg(metavar="INT")] = None
     """The environment's time limit, for D4RL files without time-outs."""
     d4rl_compat: bool = False
@@ -82,6 +95,8 @@ class ReaderOptions:
         """Those options that were given, as `odaf.data.readers.read` takes them."""
         given = {field.name: getattr(self, field.name) for field in fields(ReaderOptions) if field.name != "format"}
         given = {name: value for name, value in given.items() if value is not None and value is not False}
+        if not given["observation"]:
+            del given["observation"]
         for column, instead in (
             ("reward", "constant_reward"),
             ("episode", "single_episode"),
@@ -98,6 +113,10 @@ class ReaderOptions:
             given["episode"] = 0
         if given.pop("never_terminated", False):
             given["terminated"] = False
+        if "observation" in given:
+            given["observations"] = (*given.get("observations", ()), *given.pop("observation"))
+        if "missing_values" in given:
+            given["missing_values"] = [word.strip() for word in given["missing_values"].split(",") if word.strip()]
         if given.get("separator") in ("tab", "\\t"):
             given["separator"] = "\t"
         if "action_bounds" in given:

@@ -1,8 +1,8 @@
 """Observations that are computed from readings: formulas, differences, and what was read and done in earlier rows.
 
 The reader of tables applies them to a whole log and writes them down as recipes, in JSON types, under
-`provenance["derived"]`. `Derivation.from_provenance` makes of the recipes what a policy needs at its place of work: from
-the readings of one step after another come the very observations that the log would have held.
+`provenance["derived"]`. `Derivation.from_provenance` makes of the recipes what a policy needs at its place of
+work: from the readings of one step after another come the very observations that the log would have held.
 """
 
 from collections.abc import Mapping, Sequence

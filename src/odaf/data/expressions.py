@@ -96,6 +96,7 @@ def parse(text: str, columns: Sequence[str] | None = None) -> Expression:
         raise DatasetError(f"expression '{text[:40]}...': is {len(text):,} characters long; {_LONGEST:,} are allowed")
     taken: dict[str, None] = {}
     words, place, operand = [], 0, False
+    around: list[str] = []  # the functions whose brackets are open
     tokens: list[re.Match[str]] = []
     while text[place:].strip():
         match = _TOKEN.match(text, place)
@@ -120,8 +121,16 @@ def parse(text: str, columns: Sequence[str] | None = None) -> Expression:
             words.append(name.lower())
         elif name is not None and called:
             _refuse_function(text, name)
-        elif token["number"] or token["mark"]:
-            words.append(token["number"] or token["mark"])
+        elif token["number"]:
+            # 1 / 2 is a half, not the whole number 0; only digits to round to must stay whole.
+            whole = token["number"].isdigit() and around[-1:] != ["round"]
+            words.append(f"{token['number']}.0" if whole else token["number"])
+        elif token["mark"]:
+            words.append(token["mark"])
+            if token["mark"] == "(":
+                around.append((tokens[index - 1]["name"] or "").lower() if index else "")
+            elif token["mark"] == ")" and around:
+                around.pop()
         else:
             column = name or token["ticked"] or token["quoted"].replace('""', '"')
             if columns is not None and column not in columns:
@@ -130,7 +139,7 @@ def parse(text: str, columns: Sequence[str] | None = None) -> Expression:
             words.append('"' + column.replace('"', '""') + '"')
     if not taken:
         raise DatasetError(
-            f"expression '{text}': names no column; a reward that is the same in every row is a number, as in reward=0.0"
+            f"expression '{text}': names no column; write a reward that is the same in every row as reward=0.0"
         )
     query = " ".join(words)
     try:

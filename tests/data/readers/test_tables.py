@@ -295,7 +295,7 @@ CSV_TROUBLE = {
     "empty": (rows_with(6, "1,1,1,2,"), {}, r"column 'profit' has no value \(empty or NaN\) in row 8; .*on_missing"),
     "nan": (rows_with(6, "1,1,nan,2,1"), {}, r"column 'flow' has no value .* in row 8 \(nan\)"),
     "short": (rows_with(6, "1,1,1"), {}, r"column 'valve' has no value .* in row 8"),
-    "blank line": (rows_with(5, ""), {}, r"column 'batch' has no value in row 7; every row needs the id"),
+    "no id": (rows_with(5, ",5,1,2,3"), {}, r"column 'batch' has no value in row 7; every row needs the id"),
     "long": (rows_with(3, "0,3,5,1,2,3"), {}, r"log.csv: row 5 has 6 cells, there are 5 headings; quote"),
     "huge": (rows_with(1, "0,1e300,1,2,3"), {}, r"column 'level' is too large for single precision in row 3"),
     "not a flag": (rows_with(1, "0,2,0,2,3"), {"terminated": "flow", "episode": None}, None),
@@ -304,15 +304,14 @@ CSV_TROUBLE = {
     "missing": (rows_with(0, "0,0,1,2,3"), {"reward": "cost"}, r"column 'cost' not found; the table has 'batch', 'lev"),
     "same name": (rows_with(0, "0,0,1,2,3").replace("profit", "level", 1), {"reward": "valve"}, "2 columns are called"),
     "no rows": ("batch,level,flow,valve,profit\n", {}, "has 5 columns and no rows"),
-    "nothing": ("", {}, r"row 1 should hold the headings, but it is empty; pass skip_rows="),
-    "preamble": ("\n" + rows_with(0, "0,0,1,2,3"), {}, r"row 1 should hold the headings.*skip_rows="),
+    "nothing": ("", {}, r"row 1 should hold the headings, but the file is empty there"),
     "one wide": ("level\n1\n", {"observations": "level"}, r"observations is the text 'level'; give a list of names"),
     "no names": ("level\n1\n", {"actions": []}, "actions names no column"),
     "twice named": (rows_with(0, "0,0,1,2,3"), {"observations": ["flow", "flow"]}, "column 'flow' is named twice"),
     "uneven": (rows_with(0, "0,0,1,2,3"), {"next_observations": ["level"]}, "next_observations names 1 columns"),
     "quote": (rows_with(3, '0,"3,1,2,3'), {}, "cannot be read"),
     "no ends": (rows_with(0, "0,0,1,2,3"), {"episode": None}, r"no end of an episode was given.*episode=0 if all rows"),
-    "step": (rows_with(0, "0,0,1,2,3"), {"time_step": 1.0}, "time_step and time_format explain a time column"),
+    "step": (rows_with(0, "0,0,1,2,3"), {"time_step": 1.0}, "time_step= and time_format= explain a time column"),
     "no step": (rows_with(0, "0,0,1,2,3"), {"time_step": 0.0, "time": "level"}, "time_step is 0.0; give the time"),
     "separator": (rows_with(0, "0,0,1,2,3"), {"separator": "::"}, "separator is '::'; it must be one character"),
     "skip": (rows_with(0, "0,0,1,2,3"), {"skip_rows": -1}, "skip_rows is -1"),
@@ -322,7 +321,12 @@ CSV_TROUBLE = {
         {"time": "valve"},
         r"'valve' is not a number of sec.* in row 4 \('noon'",
     ),
-    "date": (rows_with(0, "0,0,1,noon,3"), {"time": "valve"}, r"'valve' cannot be read as a date.*time_format="),
+    "unit": (rows_with(0, "0,0,1,s,3"), {"time": "valve"}, r"'valve' is not a number of sec.* in row 2 .*units_row=Tr"),
+    "date": (
+        rows_with(0, "0,0,1,noon,3").replace(",2,3", ",one,3"),
+        {"time": "valve"},
+        r"'valve' cannot be read as a date.*time_format=",
+    ),
 }
 
 
@@ -426,7 +430,9 @@ def test_what_is_no_table_is_refused(tmp_path):
         tables.read(tmp_path, **ROLES)
     path = tmp_path / "log.parquet"
     tank().write_parquet(path)
-    with pytest.raises(DatasetError, match="separator, decimal_comma, encoding and skip_rows apply to CSV"):
+    with pytest.raises(
+        DatasetError, match="separator=, decimal_comma=, encoding=, skip_rows= and units_row= apply to CSV"
+    ):
         tables.read(path, **ROLES, skip_rows=1)
     path.write_bytes(path.read_bytes()[:-3])
     with pytest.raises(DatasetError, match="no complete Parquet file: its last four bytes are not the signature"):

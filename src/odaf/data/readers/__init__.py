@@ -41,7 +41,7 @@ FORMATS: dict[str, Format] = {
 }
 
 # Who gives one of these says that the file is a text table.
-_TEXT_OPTIONS = frozenset({"separator", "decimal_comma", "encoding", "skip_rows"})
+_TEXT_OPTIONS = frozenset({"separator", "decimal_comma", "encoding", "skip_rows", "units_row"})
 
 
 def read(path: str | os.PathLike[str], format: str | None = None, **options: Any) -> Log:

@@ -144,7 +144,7 @@ def _is_table(head: bytes) -> bool:
         if error.start < len(head) - 4 or head[:2] in (b"\xff\xfe", b"\xfe\xff"):
             return False
         text = head[: error.start].decode("utf-8")
-    lines: Sequence[str] = text.splitlines()
-    if "\x00" in text or not lines or lines[0].lstrip("\ufeff").startswith(("{", "[", "<")):
+    lines: Sequence[str] = text.lstrip("\ufeff \r\n").splitlines()
+    if "\x00" in text or not lines or lines[0].startswith(("{", "[", "<")):
         return False
     return any(mark in lines[0] for mark in ",;\t|")

@@ -150,7 +150,8 @@ def _joined(files: Sequence[Path], source: str, names: Sequence[str]) -> pl.Data
             frames.append(pl.read_parquet(file, columns=list(names), glob=False, hive_partitioning=False))
         for episode in frames[-1][EPISODE].unique().to_list():
             home = homes.get(episode)
-            goes_on = len(frames) > 1 and frames[-2][EPISODE][-1] == episode == frames[-1][EPISODE][0]
+            before = frames[-2][EPISODE] if len(frames) > 1 else frames[-1][EPISODE].clear()
+            goes_on = len(before) > 0 and before[-1] == episode == frames[-1][EPISODE][0]
             if home is not None and not goes_on:
                 raise DatasetError(
                     f"{source}: episode {episode} lies in {home.name} and again in {file.name}; remove the "
@@ -218,6 +219,8 @@ def _doubts(log: Log, info: Mapping[str, Any], frame: pl.DataFrame) -> list[dict
         )
     if "terminated" in log.columns:
         last = (frame[EPISODE] != frame[EPISODE].shift(-1)).fill_null(True).to_numpy().astype(bool)
+        if log.provenance["rows_in_file"] != len(log):
+            return findings  # rows without values were left out; the flags of the others say nothing of every end
         ended = int(log.columns["terminated"][:][last].sum())
         if ended == int(last.sum()):
             findings.append(

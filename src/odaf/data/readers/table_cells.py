@@ -72,19 +72,25 @@ def without(values: pl.Series, missing_values: Sequence[str]) -> pl.Series:
     if not missing_values:
         return values
     words = [word.strip().lower() for word in missing_values]
+    marks = pl.Series(words, dtype=pl.String).cast(pl.Float64, strict=False).drop_nulls().implode()
     if values.dtype in (pl.Categorical, pl.Enum):
         values = values.cast(pl.String)
     if values.dtype == pl.String:
-        return values.set(values.str.strip_chars().str.to_lowercase().is_in(words), None)
-    marks = pl.Series(words).cast(pl.Float64, strict=False).drop_nulls()
-    if is_plain(values.dtype) and values.dtype != pl.Boolean and len(marks):
-        return values.set(values.cast(pl.Float64).is_in(marks.implode()), None)
+        text = values.str.strip_chars().str.to_lowercase()
+        return values.set((text.is_in(words) | text.cast(pl.Float64, strict=False).is_in(marks)).fill_null(False), None)
+    if is_plain(values.dtype) and values.dtype != pl.Boolean:
+        return values.set(values.cast(pl.Float64).is_in(marks).fill_null(False), None)
     return values
 
 
 def is_plain(dtype: object) -> bool:
     """Whether cells of this type are numbers or bool."""
     return isinstance(dtype, pl.DataType) and (dtype.is_numeric() or dtype == pl.Boolean)
+
+
+def is_wide(dtype: object) -> bool:
+    """Whether cells are whole numbers of 128 bits, which NumPy does not have."""
+    return str(dtype) in ("Int128", "UInt128")
 
 
 def mask_of(marked: pl.Series) -> np.ndarray:
@@ -105,7 +111,7 @@ def refuse_missing(cells: Cells, values: pl.Series, remedy: str, holes: Holes | 
     missing = missing_in(values)
     if missing.any():
         if holes is None:
-            refuse(cells, missing, "has no value", f'{remedy}, or pass on_missing="break" to leave such rows out')
+            refuse(cells, missing, "has no value", remedy, 'pass on_missing="break" to leave such rows out')
         holes.mark(cells.name, missing)
     return missing
 
@@ -120,7 +126,7 @@ def refuse_type(cells: Cells, rule: str = "convert the column to numbers, or lea
     refuse(cells, marked, f"holds {kind}, not numbers", rule)
 
 
-def refuse(cells: Cells, rows: np.ndarray, fact: str, remedy: str) -> NoReturn:
+def refuse(cells: Cells, rows: np.ndarray, fact: str, *remedies: str) -> NoReturn:
     """Raises `DatasetError` with the first of the marked rows and what stands there."""
     index = int(np.flatnonzero(rows)[0])
     value = cells.values[index]
@@ -128,7 +134,7 @@ def refuse(cells: Cells, rows: np.ndarray, fact: str, remedy: str) -> NoReturn:
         value = value.to_list()
     shown = "" if value is None else f" ({_short(repr(value))})"
     raise DatasetError(
-        f"{cells.source}: column '{cells.name}' {fact} in {name_rows(rows, cells.numbers)}{shown}; {remedy}"
+        f"{cells.source}: column '{cells.name}' {fact} in {name_rows(rows, cells.numbers)}{shown}", remedies=remedies
     )
 
 

@@ -13,7 +13,7 @@ from odaf.data.readers import table_keys, table_numbers
 from odaf.data.readers.table_cells import Cells, Holes, OnMissing
 from odaf.data.readers.table_meaning import Meaning, Roles
 from odaf.data.readers.table_sources import Table
-from odaf.data.validation import RowNumbers, name_rows
+from odaf.data.validation import RowNumbers, any_in_row, name_rows
 from odaf.errors import DatasetError
 
 
@@ -92,7 +92,7 @@ def gather(table: Table, meaning: Meaning, roles: Roles) -> tuple[TableRows, Der
 def _observations(
     table: Table, meaning: Meaning, roles: Roles, readings: dict[str, np.ndarray], holes: Holes
 ) -> tuple[np.ndarray, dict[str, str], tuple[tuple[str, Expression | None], ...]]:
-    """Readings and formulas side by side; of each its origin; and the parts, a column of lists as one for each number."""
+    """Readings and formulas side by side; the origin of each; and the parts, one for each number of a list."""
     known = dict(readings)
     parts, origins = [], {}
     derived: list[tuple[str, Expression | None]] = []
@@ -149,7 +149,7 @@ def _side_by_side(
     parts, origins = [], {}
     for name in names:
         part = table_numbers.as_numbers(table.cells(name), on_missing)
-        holes.mark(name, np.isnan(part).any(axis=1))
+        holes.mark(name, any_in_row(np.isnan(part)))
         width = part.shape[1]
         own = table.parts.get(name, ())
         if len(own) != width:

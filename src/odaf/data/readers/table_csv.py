@@ -18,6 +18,7 @@ from odaf.errors import DatasetError
 
 SEPARATORS = (",", ";", "\t", "|")
 _HEAD_BYTES = 1 << 20
+_LARGEST_DOUBLE = 2.0**53  # whole numbers up to here are exact in double precision
 # Excel's own first line, which says what parts the cells.
 _EXCEL_SEPARATOR = re.compile(r'"?sep=(.)"?[;,\s]*', re.IGNORECASE | re.DOTALL)
 
@@ -81,7 +82,9 @@ def csv_table(
         # With a decimal comma the parser takes 1.234 for a fraction, and units are no numbers: then all is text.
         text_only = dialect.decimal_comma or dialect.units_row
         frame = _frame(source, content, chosen, skip_rows, headings, set() if text_only else numbers)
-    if len(frame.columns) != len(headings):
+    if [name.strip(' "') for name in frame.columns] != [name.strip(' "') for name in headings] and len(
+        set(headings)
+    ) == len(headings):
         raise DatasetError(
             f"{source}: row {skip_rows + 1} should hold the headings, and cannot be told from the rows around it; "
             "remove quoted lines before it"
@@ -90,7 +93,7 @@ def csv_table(
     columns = {name: frame.columns[index] for name, index in positions.items()}
     frame = frame.select(list(dict.fromkeys(columns.values())))
     units_by_name = {name: unit for name, unit in zip(names, units, strict=True) if unit}
-    facts = {"separator": chosen, "encoding": dialect.encoding}
+    facts: dict[str, Any] = {"separator": chosen, "encoding": dialect.encoding}
     if len(kept) < frame.height:
         facts["empty_lines"] = frame.height - len(kept)
         frame = frame[kept]
@@ -177,19 +180,26 @@ def _frame(
     numbers: set[str],
 ) -> pl.DataFrame:
     """All columns: `numbers` parsed where each of their cells allows it, else everything as text."""
-    options: dict[str, Any] = {"separator": separator, "skip_rows": skip_rows, "infer_schema": False, "glob": False}
+    options: dict[str, Any] = {"separator": separator, "skip_lines": skip_rows, "infer_schema": False, "glob": False}
     overrides = {"schema_overrides": dict.fromkeys(numbers, pl.Float64)}
     attempts: list[dict[str, Any]] = [overrides, {}] if numbers else [{}]
     for attempt in attempts:
         if isinstance(content, io.BytesIO):
             content.seek(0)
         try:
-            return pl.read_csv(content, **options, **attempt)
+            frame = pl.read_csv(content, **options, **attempt)
+            if attempt is attempts[-1] or all(_is_exact(frame[name]) for name in attempt["schema_overrides"]):
+                return frame
         except (pl.exceptions.PolarsError, pl.exceptions.PanicException):
             if attempt is attempts[-1]:
                 _explain(source, content, separator, skip_rows, len(headings))
                 raise
     raise AssertionError("the last attempt returns or raises")
+
+
+def _is_exact(column: pl.Series) -> bool:
+    """Whether float64 holds what the column's cells may have written, however many digits."""
+    return column.len() == column.null_count() or float(column.abs().max() or 0.0) <= _LARGEST_DOUBLE  # type: ignore[arg-type]
 
 
 def _empty(frame: pl.DataFrame) -> np.ndarray:

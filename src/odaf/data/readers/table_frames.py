@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 
+from odaf.data.readers.table_cells import without
 from odaf.data.readers.table_sources import Table, reading
 from odaf.errors import DatasetError
 
@@ -59,7 +60,7 @@ def _series(source: str, name: str, column: Any, missing_values: Sequence[str]) 
     """A column of any kind; pandas' marks for missing values and masked entries become null."""
     if isinstance(column, pl.Series):
         return column
-    if not hasattr(column, "__len__") or (isinstance(column, np.ndarray) and column.ndim == 0):
+    if not hasattr(column, "__len__") or getattr(column, "shape", None) == ():
         raise DatasetError(f"{source}: column '{name}' is {column!r:.40}; give a sequence with one entry per step")
     if isinstance(column, np.ma.MaskedArray):
         return _unmasked(source, name, column, missing_values)
@@ -114,20 +115,21 @@ def _known_resolution(source: str, name: str, array: np.ndarray) -> np.ndarray:
 
 def _of_objects(source: str, name: str, values: list[Any], missing_values: Sequence[str]) -> pl.Series:
     """Python's own objects, all of one kind."""
-    words = {word.strip().lower() for word in missing_values}
-    values = [None if isinstance(value, str) and value.strip().lower() in words else value for value in values]
+    texts = [value if isinstance(value, str) else None for value in values]
+    known = without(pl.Series(texts, dtype=pl.String), missing_values)
+    values = [None if text is not None and known[row] is None else values[row] for row, text in enumerate(texts)]
     kinds = [_kind(value) for value in values]
-    known = set(kinds) - {"nothing"}
-    if len(known) > 1:
-        common = max(known, key=kinds.count)
+    found = set(kinds) - {"nothing"}
+    if len(found) > 1:
+        common = max(found, key=kinds.count)
         row = next(index for index, kind in enumerate(kinds) if kind not in (common, "nothing"))
         raise DatasetError(
-            f"{source}: column '{name}' mixes {' and '.join(sorted(known))}, for instance {values[row]!r} "
+            f"{source}: column '{name}' mixes {' and '.join(sorted(found))}, for instance {values[row]!r} "
             f"in row {row}; convert it to one type"
         )
-    if known == {"UUID"}:
+    if found == {"UUID"}:
         values = [None if value is None else str(value) for value in values]
-    if known != {"numbers"}:
+    if found != {"numbers"}:
         return pl.Series(name, values)
     types = {type(value) for value in values if value is not None}
     if types == {bool}:

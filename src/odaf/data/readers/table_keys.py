@@ -4,7 +4,16 @@ import numpy as np
 import polars as pl
 
 from odaf.data.readers import table_numbers, table_text
-from odaf.data.readers.table_cells import Cells, Holes, is_plain, missing_in, refuse, refuse_missing, refuse_type
+from odaf.data.readers.table_cells import (
+    Cells,
+    Holes,
+    is_plain,
+    is_wide,
+    missing_in,
+    refuse,
+    refuse_missing,
+    refuse_type,
+)
 
 _SECONDS = {"ns": 1e-9, "us": 1e-6, "ms": 1e-3}
 _LARGEST_DOUBLE = 2**53
@@ -25,7 +34,7 @@ def as_ids(cells: Cells, holes: Holes | None = None) -> np.ndarray:
     values = cells.values
     if values.dtype == pl.Boolean:
         values = values.cast(pl.Int8)
-    if values.dtype in (pl.Categorical, pl.Enum, pl.Int128, pl.UInt128) or isinstance(values.dtype, pl.Decimal):
+    if values.dtype in (pl.Categorical, pl.Enum) or is_wide(values.dtype) or isinstance(values.dtype, pl.Decimal):
         values = values.cast(pl.String)
     if values.dtype == pl.Binary:
         values = values.bin.encode("hex")
@@ -100,7 +109,7 @@ def as_sort_key(cells: Cells, format: str | None = None) -> np.ndarray:
         values = table_numbers.typed(cells)
     if values.dtype.is_temporal():
         values = values.to_physical()
-    if isinstance(values.dtype, pl.Decimal) or values.dtype in (pl.Int128, pl.UInt128):
+    if isinstance(values.dtype, pl.Decimal) or is_wide(values.dtype):
         refuse_missing(cells, values, "every row needs its place")
         values = values.rank("dense")
     if values.dtype == pl.Null:
@@ -117,7 +126,7 @@ def _moments(cells: Cells, format: str | None) -> pl.Series:
     values = cells.values
     if values.dtype == pl.String and (cells.parsed or format is not None):
         return table_text.moments_of(cells, format)
-    if isinstance(values.dtype, pl.Decimal) or values.dtype in (pl.Int128, pl.UInt128, pl.Null, pl.Boolean):
+    if isinstance(values.dtype, pl.Decimal) or is_wide(values.dtype) or values.dtype in (pl.Null, pl.Boolean):
         return values.cast(pl.Float64)
     if not (is_plain(values.dtype) or values.dtype.is_temporal()):
         refuse_type(cells, "a time is a number of seconds or a date with its time")

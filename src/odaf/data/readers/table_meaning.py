@@ -103,10 +103,15 @@ class Meaning:
 
     def check(self, source: str) -> None:
         """Raises where the settings contradict each other."""
-        for name in ("observations", "actions", "next_observations", "infos", "sort_by", "missing_values"):
+        for name in ("observations", "actions", "next_observations", "infos", "sort_by"):
             value = getattr(self, name)
             if isinstance(value, str):
-                raise DatasetError(f"{source}: {name} is the text {value!r}; give a list, as {name}=[{value!r}]")
+                raise DatasetError(
+                    f"{source}: {name} is the text {value!r}; give a list of names, as {name}=[{value!r}]"
+                )
+        if isinstance(self.missing_values, str):
+            words = self.missing_values
+            raise DatasetError(f"{source}: missing_values is the text {words!r}; give a list, as ['Bad', 'No Data']")
         for name in ("observations", "actions"):
             if not getattr(self, name):
                 raise DatasetError(f"{source}: {name} names no column; name at least one")

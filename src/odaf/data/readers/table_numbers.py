@@ -9,6 +9,7 @@ from odaf.data.readers.table_cells import (
     Holes,
     OnMissing,
     is_plain,
+    is_wide,
     mask_of,
     missing_in,
     refuse,
@@ -89,10 +90,10 @@ def as_flags(cells: Cells, holes: Holes | None = None) -> np.ndarray:
     else:
         refuse_type(cells)
     if odd.any():
-        remedy = "use true and false, or 1 and 0, or derive the flag"
+        remedies = ["use true and false, or 1 and 0", "derive the flag"]
         if cells.units_row and odd[0] and int(odd.sum()) < len(odd):
-            remedy = "if that row holds units, pass units_row=True, else use true and false, or 1 and 0"
-        refuse(cells, odd, "is neither true nor false", remedy)
+            remedies.insert(0, "pass units_row=True if that row holds units")
+        refuse(cells, odd, "is neither true nor false", *remedies)
     missing = refuse_missing(cells, values, "write true or false into every row", holes)
     array = values.fill_null(0 if values.dtype.is_numeric() else False).to_numpy().astype(bool)
     return array & ~missing
@@ -120,11 +121,11 @@ def as_info(cells: Cells, on_missing: OnMissing = "error") -> np.ndarray:
         values = values.to_physical()
     if isinstance(values.dtype, pl.Decimal):
         values = values.cast(pl.Float64)
-    if values.dtype in (pl.Int128, pl.UInt128):
+    if is_wide(values.dtype):
         narrow = values.cast(pl.Int64, strict=False)
         lost = mask_of(narrow.is_null() & values.is_not_null())
         if lost.any():
-            refuse(cells, lost, "holds whole numbers beyond 64 bits", "write them as text ids, or leave the column out")
+            refuse(cells, lost, "holds whole numbers beyond 64 bits", "leave the column out")
         values = narrow
     if values.dtype == pl.Null:
         values = values.cast(pl.Float64)
@@ -137,7 +138,8 @@ def as_info(cells: Cells, on_missing: OnMissing = "error") -> np.ndarray:
                 cells,
                 mask_of(values.is_null()),
                 "has no value beside whole numbers beyond 53 bits, which NaN cannot stand among",
-                "fill the cells in, or leave the column out",
+                "fill the cells in",
+                "leave the column out",
             )
     return _filled(cells, values, 1, on_missing).to_numpy()
 
@@ -168,11 +170,14 @@ def _numeric(cells: Cells) -> tuple[pl.Series, int]:
         return _exploded(cells)
     if values.dtype == pl.String and cells.parsed:
         values = table_text.numbers_of(cells)
+        if values.abs().max() is not None and float(values.abs().max()) > _LARGEST_DOUBLE:  # type: ignore[arg-type]
+            whole = table_text.whole_of(cells)
+            values = values if whole is None else whole
     elif values.dtype == pl.Null:
         values = values.cast(pl.Float64)
     elif not is_plain(values.dtype):
         refuse_type(cells)
-    if isinstance(values.dtype, pl.Decimal) or values.dtype in (pl.Int128, pl.UInt128):
+    if isinstance(values.dtype, pl.Decimal) or is_wide(values.dtype):
         values = values.cast(pl.Float64)
     return values, 1
 
@@ -199,7 +204,7 @@ def _exploded(cells: Cells) -> tuple[pl.Series, int]:
     if width == 0:
         refuse(cells, mask_of(sizes == 0), "holds empty lists", "name a column that has values")
     flat = values.explode()
-    return flat.cast(pl.Float64) if isinstance(flat.dtype, pl.Decimal) or flat.dtype == pl.Int128 else flat, width
+    return flat.cast(pl.Float64) if isinstance(flat.dtype, pl.Decimal) or is_wide(flat.dtype) else flat, width
 
 
 def _filled(cells: Cells, values: pl.Series, width: int, on_missing: OnMissing) -> pl.Series:
@@ -212,8 +217,9 @@ def _filled(cells: Cells, values: pl.Series, width: int, on_missing: OnMissing) 
             cells,
             any_in_row(missing.reshape(-1, width)),
             "has no value (empty or NaN)",
-            'fill the cells in, pass on_missing="break" to leave such rows out and cut the episode there, or '
-            'on_missing="nan" to keep them as NaN and decide by their check',
+            "fill the cells in",
+            'pass on_missing="break" to leave such rows out and cut the episode there',
+            'on_missing="nan" to keep them as NaN, for the checks to count',
         )
     return values.cast(pl.Float64 if values.dtype != pl.Float32 else pl.Float32).fill_null(np.nan)
 
@@ -236,11 +242,13 @@ def _refuse_merged(cells: Cells, array: np.ndarray, single: np.ndarray) -> None:
         distinct, kept = np.unique(values), np.unique(narrow)
         if len(kept) == len(distinct):
             continue
+        formula = f"put a formula in its place, such as '{cells.name}_since = {cells.name} - {values.min():.10g}'"
         again = np.append(False, distinct[1:].astype(np.float32) == distinct[:-1].astype(np.float32))
         refuse(
             cells,
             np.isin(column, distinct[again]),
             f"holds {len(distinct):,} different numbers, up to {values.max():.10g}, of which single precision keeps "
             f"{len(kept):,} apart",
-            'learn from it less an offset, as in observations=["NAME = COLUMN - OFFSET"], or leave the column out',
+            *([formula] if np.abs(values.astype(np.float64)).max() <= _LARGEST_DOUBLE else []),
+            "leave the column out",
         )

@@ -46,7 +46,8 @@ def numbers_of(cells: Cells, meaning: str = "number") -> pl.Series:
                 cells,
                 mask_of(doubtful),
                 "is written with a point although the decimal mark is a comma",
-                "remove points between thousands; if the point is the decimal mark, leave out decimal_comma=True",
+                "remove points between thousands",
+                "leave out decimal_comma=True if the point is the decimal mark",
             )
     return result
 
@@ -69,16 +70,15 @@ def flags_of(cells: Cells) -> pl.Series:
 
 
 def moments_of(cells: Cells, format: str | None) -> pl.Series:
-    """Text as Int64 or Float64 seconds where its first cell is a number, else as dates, times of day or durations.
+    """Text as Int64 or Float64 seconds where one of its first two cells is a number, else as dates, times, durations.
 
     Raises:
         DatasetError: a cell is written in another way than the first.
     """
     text = text_of(cells)
-    known = text.drop_nulls().head(1)
-    if format is None and len(known) and floats_of(known, cells.decimal_comma).null_count() == 0:
+    if format is None and floats_of(text.drop_nulls().head(2), cells.decimal_comma).is_not_null().any():
         whole = whole_of(cells)
-        return numbers_of(cells, "number of seconds, as the first row is") if whole is None else whole
+        return numbers_of(cells, "number of seconds, as others are") if whole is None else whole
     # A comma in front of the fraction, as in 08:00:00,5, is good ISO 8601; the parser knows the point alone.
     text = text.str.replace(r"(:\d\d),(\d)", "${1}.${2}")
     if format is None and (durations := _durations(text)) is not None:
@@ -90,7 +90,8 @@ def moments_of(cells: Cells, format: str | None) -> pl.Series:
     wrong = result.is_null() & text.is_not_null()
     if wrong.any():
         fact = "cannot be read as a date in ISO 8601" if format is None else f"does not follow time_format {format!r}"
-        refuse(cells, mask_of(wrong), fact, 'say how it is written, as in time_format="%d.%m.%Y %H:%M:%S"')
+        remedies = ['say how it is written, as in time_format="%d.%m.%Y %H:%M:%S"', "correct the cells"]
+        refuse(cells, mask_of(wrong), fact, *remedies)
     return result
 
 
@@ -118,7 +119,7 @@ def _durations(text: pl.Series) -> pl.Series | None:
             parts = [text.str.extract(pattern, group).cast(pl.Float64, strict=False) for group in range(2, 6)]
             days, hours, minutes, seconds = (part.fill_null(0.0) for part in parts)
             total = ((days * 24.0 + hours) * 60.0 + minutes) * 60.0 + seconds
-            total = total.set(text.str.starts_with("-").fill_null(False), -total)
+            total = total * (1.0 - 2.0 * text.str.starts_with("-").cast(pl.Float64))
             return total.set(text.is_null(), None)
     return None
 
@@ -126,13 +127,13 @@ def _durations(text: pl.Series) -> pl.Series | None:
 def _refuse_numbers(cells: Cells, text: pl.Series, wrong: pl.Series, meaning: str) -> None:
     """Raises with the remedy that fits what stands in the first cell that is no number."""
     first = str(text.filter(wrong)[0])
-    remedy = (
-        f'correct the cells, or leave the column out; if it stands for a missing value, pass missing_values=["{first}"]'
-    )
+    remedies = ["correct the cells", "leave the column out"]
     if first.startswith(("[", "(")) and "," in first:
-        remedy = "it looks like a list: write one column for each number, or a Parquet file with a column of lists"
+        remedies = ["it looks like a list: write one column for each number, or a Parquet file with a column of lists"]
     elif _NUMBER_WITH_COMMA.fullmatch(first) and not cells.decimal_comma:
-        remedy = "it looks like a decimal comma: pass decimal_comma=True"
+        remedies.insert(0, "it looks like a decimal comma: pass decimal_comma=True")
     elif cells.units_row and wrong[0] and int(wrong.sum()) < len(wrong):
-        remedy = "if that row holds units, pass units_row=True, else correct the cell"
-    refuse(cells, mask_of(wrong), f"is not a {meaning}", remedy)
+        remedies.insert(0, "pass units_row=True if that row holds units")
+    elif re.fullmatch(r"[^\W\d][\w /.#-]*|#\S+", first):
+        remedies.insert(1, f'pass missing_values=["{first}"] if it stands for a missing value')
+    refuse(cells, mask_of(wrong), f"is not a {meaning}", *remedies)

@@ -215,7 +215,8 @@ def _units(table: Table, meaning: Meaning, rows: TableRows) -> Mapping[str, str]
     """The unit of each column that has one; those of differences and earlier rows are those of their columns."""
     units = dict(table.units)
     if isinstance(meaning.units, Mapping):
-        table_sources.require(f"{table.source}: units", [*table.names, *rows.observation_names], meaning.units)
+        names = list(dict.fromkeys([*table.names, *rows.observation_names]))
+        table_sources.require(f"{table.source}: units", names, meaning.units)
         units |= meaning.units
     for name in rows.observation_names:
         stem = re.sub(r"_(change|lag\d+)$", "", name)
