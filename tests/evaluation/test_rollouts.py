@@ -1,15 +1,15 @@
 """Rollouts in environments with known answers."""
 
-from typing import Any
+from typing import ClassVar
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from jaxtyping import Array
 
+from odaf.components.policies import Actor
 from odaf.data.normalisation import Normaliser
-from odaf.data.spec import Spec
-from odaf.environments.start_seeds import EVALUATION_SEED_OFFSET
+from odaf.environments.start_seeds import EVALUATION_SEED_OFFSET, MOST_EPISODES
 from odaf.errors import ConfigError
 from odaf.evaluation import Episodes, RolloutEvaluator, Rollouts, rollout
 from odaf.evaluation.rollouts import summarise
@@ -145,43 +145,35 @@ def test_summary_of_hand_worked_episodes():
     assert "stitched_rate" not in found.summary  # the environment did not report it
 
 
-def _traced_learner(traces):
-    # A learner without training: acts on the first observation, and notes every trace of its act.
-    from odaf.algorithms.behaviour_cloning import BehaviourCloning
-    from odaf.components.policies import Actor
+class Traced(Actor):
+    """Acts on the first observation, and notes every trace."""
 
-    class TracedActor(Actor):
-        gain: Array
+    gain: Array
+    traces: ClassVar[list[tuple[int, ...]]] = []
 
-        def act(self, carry, observations, key=None):
-            traces.append(observations.shape)
-            return jnp.tanh(observations[:, :1] * self.gain), carry
+    def act(self, carry, observations, key=None):
+        Traced.traces.append(observations.shape)
+        return jnp.tanh(observations[:, :1] * self.gain), carry
 
-    class Traced(BehaviourCloning):
-        def actor(self, state: Any):
-            return TracedActor(state["gain"])
 
-    return Traced()
+def _policy(actor) -> Policy:
+    return Policy(actor, Normaliser.identity(2), (-2.0,), (6.0,), ("digit", "steps"))
 
 
 def test_policy_is_compiled_once_for_all_steps_checkpoints_and_seeds(tmp_path):
-    traces = []
-    learner = _traced_learner(traces)
-    spec = Spec(2, 1, (-2.0,), (6.0,), 0.0, 1.0, False, 7)
+    Traced.traces.clear()
     evaluator = RolloutEvaluator(Rollouts(episodes=5), Countdown)
     Countdown.made = Countdown.closed = 0
     for step, gain in enumerate((0.5, 1.5, 2.5)):
-        policy = Policy(learner, spec, Normaliser.identity(2), {"gain": jnp.asarray(gain)}, ("digit", "steps"))
-        evaluator(policy, tmp_path, step)
-    assert traces == [(5, 2)]
+        evaluator(_policy(Traced(jnp.asarray(gain))), tmp_path, step)
+    assert Traced.traces == [(5, 2)]
     assert Countdown.made == 5 and Countdown.closed == 0  # environments are reused
     evaluator.close()
     assert Countdown.closed == 5
 
 
 def test_evaluations_are_deterministic_and_saved_whole(tmp_path):
-    spec = Spec(2, 1, (-2.0,), (6.0,), 0.0, 1.0, False, 7)
-    policy = Policy(_traced_learner([]), spec, Normaliser.identity(2), {"gain": jnp.asarray(0.5)}, ("digit", "steps"))
+    policy = _policy(Traced(jnp.asarray(0.5)))
     evaluator = RolloutEvaluator(Rollouts(episodes=6, seed=2), Countdown)
     first, second = evaluator(policy, tmp_path, 10), evaluator(policy, tmp_path, 20)
     assert first == second
@@ -193,3 +185,32 @@ def test_evaluations_are_deterministic_and_saved_whole(tmp_path):
                 np.testing.assert_array_equal(saved[name], getattr(fresh, name))
             np.testing.assert_array_equal(saved["success"], fresh.flags["success"])
             assert saved["observations"].dtype == np.float32
+
+
+class RewardSum(Actor):
+    """Its action is a hundredth of all that was earned so far."""
+
+    def begin(self, rows):
+        return jnp.zeros(rows)
+
+    def act(self, carry, observations, key=None):
+        return carry[:, None] / 100.0, carry
+
+    def observe(self, carry, rewards):
+        return carry + rewards
+
+
+def test_a_policy_with_a_memory_hears_what_its_own_episode_earned():
+    played = []
+
+    class Recorder(Countdown):
+        def step(self, action):
+            played.append((self.seed, float(action[0])))
+            return super().step(action)
+
+    policy = Policy(RewardSum(), Normaliser.identity(2), (-1.0,), (1.0,), ("digit", "steps"))
+    episodes = rollout(policy, Recorder, 4, seed=1)
+    for index, rewards in enumerate(episodes.rewards):
+        length = episodes.lengths[index]
+        own = [action for seed, action in played if seed % MOST_EPISODES == index][:length]
+        np.testing.assert_allclose(own, np.cumsum([0.0, *rewards[: length - 1]]) / 100.0, rtol=1e-5)

@@ -5,16 +5,19 @@ import json
 import numpy as np
 import pytest
 
+from golden import tiny
 from golden.runs import dataset_of, untrained_run
 from odaf.algorithms.behaviour_cloning import BehaviourCloning
 from odaf.algorithms.ensemble_sac import EnsembleSAC
 from odaf.environments.maze import STITCH
 from odaf.errors import ConfigError
+from odaf.evaluation.attacks import Judge
 from odaf.evaluation.scores import Scores, SeedScore
 from odaf.report.figures import attack_figure
 from odaf.runs.evaluate import evaluate
 from odaf.runs.evaluate_attacks import AttackCurve, attack_curve
 from odaf.training.files import plain
+from odaf.training.run_directory import RunDirectory
 
 ENVIRONMENT = {"name": "pointmaze", "maze": STITCH.to_dict(), "steps": 6}
 
@@ -92,7 +95,7 @@ def test_what_is_refused(run_directory, attack, budgets, message):
 
 def test_behaviour_cloning_is_attacked_at_random_or_with_the_critics_of_another_run(run_directory, tmp_path):
     run = untrained_run(tmp_path / "run", BehaviourCloning(hidden_sizes=(4,)), dataset_of(4, 2, ENVIRONMENT), (0,))
-    with pytest.raises(ConfigError, match="'behaviour-cloning' is deterministic"):
+    with pytest.raises(ConfigError, match="'behaviour-cloning' is not"):
         attack_curve(run, "action-diff", episodes=1)
     with pytest.raises(ConfigError, match="'behaviour-cloning' has none.*--attacker"):
         attack_curve(run, "min-q", episodes=1)
@@ -101,3 +104,16 @@ def test_behaviour_cloning_is_attacked_at_random_or_with_the_critics_of_another_
     judged = attack_curve(run, "min-q", budgets=(0.5,), episodes=1, attacker=run_directory)
     assert judged.to_dict()["attacker"] == str(run_directory)
     assert judged.scores != curve.scores
+    with pytest.raises(ConfigError, match="'behaviour-cloning' has none"):
+        attack_curve(run_directory, "min-q", episodes=1, attacker=run)
+
+
+def test_a_policy_is_attacked_as_it_is_deployed_with_the_critics_of_the_same_checkpoint(tmp_path):
+    learner = EnsembleSAC(num_critics=2, hidden_sizes=(4,), deployed_actor="slow")
+    run = RunDirectory(untrained_run(tmp_path / "run", learner, dataset_of(4, 2, ENVIRONMENT), (0,)))
+    state = run.state(0)
+    policy, judge = run.policy(0), Judge.of(run, 0)
+    for found, wanted in ((policy.actor, state.slow_actor), (judge.critics, state.critics)):
+        tiny.assert_same_bits(found, wanted)
+    assert (judge.action_low, judge.action_high) == (run.spec.action_low, run.spec.action_high)
+    np.testing.assert_array_equal(judge.scale, run.normaliser.scale)

@@ -22,6 +22,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from odaf.algorithms.base import Metrics
 from odaf.algorithms.truncated_quantile_critics import TQCState, TruncatedQuantileCritics
 from odaf.behaviour.replay import Replay, unpack
+from odaf.components.policies import GaussianActor
 from odaf.data.spec import Spec
 from odaf.data.writing import write_text
 from odaf.environments.gaussian_policy import GaussianPolicy
@@ -113,13 +114,14 @@ def train(
     progress.start(f"{task.environment_id(run.version)} seed {run.seed}", run.steps, now.step)
     note = ""
     while now.step < run.steps:
-        policy = None if now.step < run.random_steps else policy_of(state)
+        policy = None if now.step < run.random_steps else policy_of(algorithm.actor(state))
         _play(run, simulator, policy, replay, now)
         if now.step > run.random_steps:
             rows = replay.draw(now.rng.integers(0, now.step, (run.stretch, algorithm.batch_size)))
             state, metrics = updates(state, rows, jr.fold_in(key, now.step))
             if now.step % run.evaluate_every == 0:
-                line = {"step": now.step, **_evaluation(run, task, policy_of(state)), **_means(metrics)}
+                played = _evaluation(run, task, policy_of(algorithm.actor(state)))
+                line = {"step": now.step, **played, **_means(metrics)}
                 now.seconds = line["seconds"] = time.monotonic() - began
                 with (directory / "curve.jsonl").open("a", encoding="utf-8") as file:
                     file.write(json.dumps(line) + "\n")
@@ -128,7 +130,7 @@ def train(
                     _save(directory, state, replay, simulator, now)
                     break
             if now.step % run.snapshot_every == 0:
-                save_policy(directory / "snapshots" / f"{now.step:08d}.npz", policy_of(state))
+                save_policy(directory / "snapshots" / f"{now.step:08d}.npz", policy_of(algorithm.actor(state)))
             if now.step % run.checkpoint_every == 0 or now.step == run.steps:
                 now.seconds = time.monotonic() - began
                 _save(directory, state, replay, simulator, now)
@@ -155,9 +157,9 @@ def curve_in(directory: Path) -> list[dict[str, Any]]:
     return [json.loads(line) for line in lines]
 
 
-def policy_of(state: TQCState) -> GaussianPolicy:
+def policy_of(actor: GaussianActor) -> GaussianPolicy:
     """The actor on the host."""
-    network = state.actor.network
+    network = actor.network
     return GaussianPolicy([np.asarray(w) for w in network.weights], [np.asarray(b) for b in network.biases])
 
 

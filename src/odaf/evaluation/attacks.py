@@ -26,14 +26,15 @@ import jax
 import jax.numpy as jnp
 import jax.random as jr
 import numpy as np
-from jaxtyping import Array, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Float, Int, PRNGKeyArray, PyTree
 
-from odaf.algorithms.ensemble_sac import EnsembleSAC
 from odaf.components.critics import CriticEnsemble, disagreement
+from odaf.components.distributions import symmetric_gaussian_divergence
 from odaf.components.perturbations import draw_offsets
-from odaf.components.policies import DeterministicActor, GaussianActor
+from odaf.components.policies import Actor, GaussianActor
 from odaf.errors import ConfigError
 from odaf.training.policy import Policy
+from odaf.training.run_directory import RunDirectory
 
 StepRule = Literal["pgd", "rorl"]
 PGD_STEP, RORL_STEP = 0.2, 0.1
@@ -84,11 +85,30 @@ ATTACKS = {
 
 
 class Judge(eqx.Module):
-    """The critics that an attack asks, and their learner's scale of observations."""
+    """The critics that an attack asks, their learner's scale of observations, and the task that they know."""
 
     critics: CriticEnsemble
     mean: Float[Array, " obs_dim"]
     scale: Float[Array, " obs_dim"]
+    action_low: tuple[float, ...] = eqx.field(static=True)
+    action_high: tuple[float, ...] = eqx.field(static=True)
+
+    @classmethod
+    def of(cls, run: RunDirectory, seed: int, step: int | None = None) -> "Judge":
+        """The critics of a run's seed after `step` updates (None: at its last checkpoint).
+
+        Raises:
+            CheckpointError: there is no such checkpoint.
+            ConfigError: the learner has no critics.
+        """
+        critics = run.algorithm.values(run.state(seed, step))
+        if critics is None:
+            raise ConfigError(
+                f"{run.path}: an attack that asks critics needs a run that has some, and the learner "
+                f"'{run.algorithm.kind}' has none; name one that has (--attacker DIR), or attack at random"
+            )
+        mean, scale = jnp.asarray(run.normaliser.mean), jnp.asarray(run.normaliser.scale)
+        return cls(critics, mean, scale, run.spec.action_low, run.spec.action_high)
 
     def values(
         self, observations: Float[Array, "rows obs_dim"], actions: Float[Array, "rows act_dim"]
@@ -97,10 +117,10 @@ class Judge(eqx.Module):
         return self.critics.as_constants((observations - self.mean[None, :]) / self.scale[None, :], actions)
 
 
-class Victim(eqx.Module):
-    """What an attacker knows of a policy: the deployed actor and its learner's scale of observations."""
+class AttackedActor(eqx.Module):
+    """What an attacker knows of a policy: its actor and the scale of observations that it acts on."""
 
-    actor: GaussianActor | DeterministicActor
+    actor: Actor
     mean: Float[Array, " obs_dim"]
     scale: Float[Array, " obs_dim"]
 
@@ -119,57 +139,56 @@ class Victim(eqx.Module):
         return (observations - self.mean[None, :]) / self.scale[None, :]
 
 
-Knowledge = tuple[Victim, Judge | None]  # who is harmed, and whom the objective asks
+ThreatModel = tuple[AttackedActor, Judge | None]  # who is harmed, and whom the objective asks
 
 
-def knowledge_of(policy: Policy, attack: Attack, attacker: Policy | None = None) -> Knowledge | None:
-    """What the attack needs to know; None for an attack without an objective.
+def threat_model(policy: Policy, attack: Attack, judge: Judge | None = None) -> ThreatModel | None:
+    """What the attack knows; None for an attack without an objective.
 
     Args:
         policy: whom to harm.
         attack: how.
-        attacker: whose critics are asked; None asks those of the policy's own learner.
+        judge: the critics that are asked, of the policy's own learner or of another one on the same task.
 
     Raises:
-        ConfigError: the objective asks for a Gaussian policy or for critics that are not there, the attacker belongs to
-            another task, or the attack has no use for one.
+        ConfigError: the objective asks for a Gaussian policy, for one without a memory or for critics, and there is
+            none; the judge knows another task, or the attack has no use for one.
     """
-    if attacker is not None and not attack.asks_critics:
+    if judge is not None and not attack.asks_critics:
         users = ", ".join(name for name, other in ATTACKS.items() if other.asks_critics)
         raise ConfigError(f"attacker: attack '{attack.name}' asks no critics; leave it out, or choose one of {users}")
     if attack.objective is None:
         return None
+    learner = policy.provenance.get("learner", type(policy.actor).__name__)
+    if policy.has_memory:
+        raise ConfigError(
+            f"attack '{attack.name}': looks one step ahead, and the policy of the learner '{learner}' has a memory; "
+            "attack it at random"
+        )
+    if attack.objective == "action-diff" and not isinstance(policy.actor, GaussianActor):
+        raise ConfigError(
+            f"attack '{attack.name}': needs a Gaussian policy, and that of the learner '{learner}' is not; "
+            "attack it by min-q with the critics of another run (--attacker DIR), or at random"
+        )
+    if attack.asks_critics:
+        if judge is None:
+            raise ConfigError(
+                f"attack '{attack.name}': asks critics, which a policy does not hold; "
+                "give those of a run, as judge=Judge.of(run, seed)"
+            )
+        _check_same_task(policy, judge)
     normaliser = policy.normaliser
-    victim = Victim(_actor_of(policy, attack), jnp.asarray(normaliser.mean), jnp.asarray(normaliser.scale))
-    if not attack.asks_critics:
-        return victim, None
-    if attacker is not None:
-        _check_same_task(policy, attacker)
-    judge = policy if attacker is None else attacker
-    if not isinstance(judge.algorithm, EnsembleSAC):
-        role = "attack" if attacker is None else "attacker for the attack"
-        raise ConfigError(
-            f"{role} '{attack.name}': needs an ensemble of critics, and the learner '{judge.algorithm.kind}' has none; "
-            "name a run that has one as the attacker (--attacker DIR), or attack at random"
-        )
-    normaliser = judge.normaliser
-    return victim, Judge(judge.state.critics, jnp.asarray(normaliser.mean), jnp.asarray(normaliser.scale))
+    return AttackedActor(policy.actor, jnp.asarray(normaliser.mean), jnp.asarray(normaliser.scale)), judge
 
 
-def _actor_of(policy: Policy, attack: Attack) -> GaussianActor | DeterministicActor:
-    learner, state = policy.algorithm, policy.state
-    actor = state.slow_actor if getattr(learner, "deployed_actor", "current") == "slow" else state.actor
-    if attack.objective == "action-diff" and not isinstance(actor, GaussianActor):
-        raise ConfigError(
-            f"attack '{attack.name}': needs a Gaussian policy, and that of the learner '{learner.kind}' is "
-            "deterministic; attack it by min-q with the critics of another run (--attacker DIR), or at random"
-        )
-    return actor
-
-
-def _check_same_task(policy: Policy, attacker: Policy) -> None:
-    for field in ("obs_dim", "act_dim", "action_low", "action_high"):
-        ours, theirs = getattr(policy.spec, field), getattr(attacker.spec, field)
+def _check_same_task(policy: Policy, judge: Judge) -> None:
+    pairs = {
+        "obs_dim": (policy.obs_dim, judge.mean.shape[0]),
+        "act_dim": (policy.act_dim, len(judge.action_low)),
+        "action_low": (policy.action_low, judge.action_low),
+        "action_high": (policy.action_high, judge.action_high),
+    }
+    for field, (ours, theirs) in pairs.items():
         if ours != theirs:
             raise ConfigError(
                 f"attacker: its data have {field} {theirs}, those of the attacked policy {ours}; "
@@ -177,31 +196,18 @@ def _check_same_task(policy: Policy, attacker: Policy) -> None:
             )
 
 
-def symmetric_kl(
-    mean: Float[Array, "*rows act_dim"],
-    log_std: Float[Array, "*rows act_dim"],
-    other_mean: Float[Array, "*rows act_dim"],
-    other_log_std: Float[Array, "*rows act_dim"],
-) -> Float[Array, "*rows"]:
-    """KL(p || q) + KL(q || p) of two diagonal Gaussians, summed over dimensions, in nats; the logarithms cancel."""
-    distance = jnp.square(mean - other_mean)
-    variance, other_variance = jnp.exp(2.0 * log_std), jnp.exp(2.0 * other_log_std)
-    there = (variance + distance) / (2.0 * other_variance)
-    back = (other_variance + distance) / (2.0 * variance)
-    return jnp.sum(there + back - 1.0, axis=-1)
-
-
-def harm_of(objective: str, knowledge: Knowledge, observations: Float[Array, "rows obs_dim"]) -> Harm:
+def harm_of(objective: str, threat: ThreatModel, observations: Float[Array, "rows obs_dim"]) -> Harm:
     """The objective of an attack at these observations: larger is worse for the policy. Rows do not interact."""
-    victim, judge = knowledge
+    attacked, judge = threat
 
     def harm(offsets: Float[Array, "draws rows obs_dim"]) -> Float[Array, "draws rows"]:
         draws, rows, obs_dim = offsets.shape
         seen = (observations[None] + offsets).reshape(draws * rows, obs_dim)
         if judge is None:
-            mean, log_std = (jnp.tile(parameter, (draws, 1)) for parameter in victim.gaussian(observations))
-            return symmetric_kl(mean, log_std, *victim.gaussian(seen)).reshape(draws, rows)
-        values = judge.values(jnp.tile(observations, (draws, 1)), victim.mode(seen))
+            mean, log_std = (jnp.tile(parameter, (draws, 1)) for parameter in attacked.gaussian(observations))
+            divergence = symmetric_gaussian_divergence(mean, log_std, *attacked.gaussian(seen))
+            return jnp.sum(divergence, axis=-1).reshape(draws, rows)
+        values = judge.values(jnp.tile(observations, (draws, 1)), attacked.mode(seen))
         found = -jnp.mean(values, axis=0) if objective == "min-q" else disagreement(values)
         return found.reshape(draws, rows)
 
@@ -244,7 +250,7 @@ def climb(
 def worst_offsets(
     attack: Attack,
     rule: StepRule,
-    knowledge: Knowledge | None,
+    threat: ThreatModel | None,
     observations: Float[Array, "rows obs_dim"],
     std: Float[Array, " obs_dim"],
     budget: Float[Array, ""],
@@ -255,7 +261,7 @@ def worst_offsets(
     Args:
         attack: how to look for it.
         rule: gradient steps of attacks that take any; see `climb`.
-        knowledge: whom to harm and whom to ask; None only for an attack without an objective.
+        threat: whom to harm and whom to ask; None only for an attack without an objective.
         observations: true observations in the user's units.
         std: standard deviation of each dimension of the logged observations.
         budget: size of the box in standard deviations.
@@ -266,9 +272,9 @@ def worst_offsets(
     candidates = attack.draws + int(attack.with_clean)
     unit = draw_offsets(key, candidates, rows, obs_dim, 1.0, shared=False, include_centre=attack.with_clean)
     offsets = unit * box[None, None, :]
-    if attack.objective is None or knowledge is None:
+    if attack.objective is None or threat is None:
         return offsets[0]
-    harm = harm_of(attack.objective, knowledge, observations)
+    harm = harm_of(attack.objective, threat, observations)
     if attack.steps:
         offsets = climb(harm, offsets, box, budget, attack.steps, rule)
     if candidates == 1:
@@ -289,10 +295,10 @@ class AttackedPolicy:
         budget: size of the box in standard deviations of the logged observations.
         key: random key of the draws.
         rule: gradient steps of attacks that take any; see `climb`.
-        attacker: a policy on the same task whose learner's critics are asked; None asks those of the policy's own.
+        judge: the critics that are asked, for attacks that ask any.
 
     Raises:
-        ConfigError: as `knowledge_of`.
+        ConfigError: as `threat_model`.
     """
 
     def __init__(
@@ -302,24 +308,36 @@ class AttackedPolicy:
         budget: float,
         key: PRNGKeyArray,
         rule: StepRule = "pgd",
-        attacker: Policy | None = None,
+        judge: Judge | None = None,
     ):
         self.policy = policy
         self._attack, self._key, self._calls = attack, key, 0
         self._rule: StepRule = rule
-        self._knowledge = knowledge_of(policy, attack, attacker)
+        self._threat = threat_model(policy, attack, judge)
         self._std, self._budget = jnp.asarray(policy.normaliser.std), jnp.asarray(budget, jnp.float32)
 
     def __call__(self, observations: np.ndarray) -> np.ndarray:
         """The policy's actions [rows, act_dim] at attacked observations [rows, obs_dim]."""
         return self.policy(self.shown(observations))
 
+    def begin(self, rows: int) -> PyTree:
+        """As `Policy.begin`."""
+        return self.policy.begin(rows)
+
+    def act(self, carry: PyTree, observations: np.ndarray) -> tuple[np.ndarray, PyTree]:
+        """As `Policy.act`, at attacked observations [rows, obs_dim]."""
+        return self.policy.act(carry, self.shown(observations))
+
+    def observe(self, carry: PyTree, rewards: np.ndarray) -> PyTree:
+        """As `Policy.observe`; rewards are not tampered with."""
+        return self.policy.observe(carry, rewards)
+
     def shown(self, observations: np.ndarray) -> np.ndarray:
         """[rows, obs_dim] float32: what the policy is shown in place of the true observations at this call."""
         true, calls = jnp.asarray(observations, jnp.float32), jnp.asarray(self._calls)
         self._calls += 1
         return np.asarray(
-            _shown(self._attack, self._rule, self._knowledge, true, self._std, self._budget, self._key, calls)
+            _shown(self._attack, self._rule, self._threat, true, self._std, self._budget, self._key, calls)
         )
 
 
@@ -327,11 +345,11 @@ class AttackedPolicy:
 def _shown(
     attack: Attack,
     rule: StepRule,
-    knowledge: Knowledge | None,
+    threat: ThreatModel | None,
     observations: Float[Array, "rows obs_dim"],
     std: Float[Array, " obs_dim"],
     budget: Float[Array, ""],
     key: PRNGKeyArray,
     calls: Int[Array, ""],
 ) -> Float[Array, "rows obs_dim"]:
-    return observations + worst_offsets(attack, rule, knowledge, observations, std, budget, jr.fold_in(key, calls))
+    return observations + worst_offsets(attack, rule, threat, observations, std, budget, jr.fold_in(key, calls))

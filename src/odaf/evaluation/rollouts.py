@@ -31,6 +31,20 @@ class Environment(Protocol):
 MakeEnvironment = Callable[[], Environment]
 
 
+@runtime_checkable
+class Stepwise(Protocol):
+    """A policy that is told when episodes begin and what they earn, such as `odaf.Policy`, so that it may remember."""
+
+    def begin(self, rows: int, /) -> Any: ...
+
+    def act(self, carry: Any, observations: np.ndarray, /) -> tuple[np.ndarray, Any]: ...
+
+    def observe(self, carry: Any, rewards: np.ndarray, /) -> Any: ...
+
+
+Acting = Callable[[np.ndarray], np.ndarray] | Stepwise
+
+
 @dataclass(frozen=True)
 class Episodes:
     """What happened in a number of episodes; NaN stands after an episode's end.
@@ -63,7 +77,7 @@ class Episodes:
 
 
 def rollout(
-    policy: Callable[[np.ndarray], np.ndarray],
+    policy: Acting,
     make_env: MakeEnvironment,
     episodes: int,
     seed: int = 0,
@@ -74,8 +88,9 @@ def rollout(
     Each environment stands still once its episode has ended, so short episodes do not count more often than long ones.
 
     Args:
-        policy: maps observations [episodes, obs_dim] to actions [episodes, act_dim]; always called with all rows, those
-            of ended episodes included, so that it is compiled once.
+        policy: maps observations [episodes, obs_dim] to actions [episodes, act_dim], or does so with a memory; always
+            called with all rows, those of ended episodes included, so that it is compiled once. Rewards of ended
+            episodes count as 0 for the memory.
         make_env: builds an environment.
         episodes: how many.
         seed: chooses the environments' reset seeds; equal seeds give equal starts, for a fair comparison of policies.
@@ -93,7 +108,7 @@ def rollout(
 
 
 def rollout_in(
-    policy: Callable[[np.ndarray], np.ndarray],
+    policy: Acting,
     environments: Sequence[Environment],
     seed: int = 0,
     max_steps: int | None = None,
@@ -108,10 +123,11 @@ def rollout_in(
     infos: list[dict[str, Any]] = [{} for _ in environments]
     running = np.ones(episodes, bool)
     lengths = np.zeros(episodes, np.int64)
+    act, observe = _player(policy, episodes)
     while running.any():
         if max_steps is None and len(rewards) >= _NO_LIMIT:
             raise ConfigError(f"environment: still going after {_NO_LIMIT:,} steps; give max_steps to cut episodes")
-        actions = policy(current)
+        actions = act(current)
         seen = np.full_like(current, np.nan)
         earned = np.full(episodes, np.nan, np.float32)
         for index in np.flatnonzero(running).tolist():
@@ -123,6 +139,7 @@ def rollout_in(
             running[index] = not (terminated or truncated or lengths[index] == max_steps)
         observations.append(seen)
         rewards.append(earned)
+        observe(np.where(np.isnan(earned), np.float32(0.0), earned))
     table = np.stack(rewards, axis=1)
     return Episodes(
         observations=np.stack(observations, axis=1),
@@ -131,6 +148,24 @@ def rollout_in(
         returns=np.nansum(table.astype(np.float64), axis=1),
         flags=_flags(infos),
     )
+
+
+def _player(policy: Acting, episodes: int) -> tuple[Callable[[np.ndarray], np.ndarray], Callable[[np.ndarray], object]]:
+    """How to ask the policy for actions, and how to tell it rewards; the carry, if any, is kept in between."""
+    if not isinstance(policy, Stepwise):
+        return policy, lambda rewards: None
+    carry = policy.begin(episodes)
+
+    def act(observations: np.ndarray) -> np.ndarray:
+        nonlocal carry
+        actions, carry = policy.act(carry, observations)
+        return actions
+
+    def observe(rewards: np.ndarray) -> None:
+        nonlocal carry
+        carry = policy.observe(carry, rewards)
+
+    return act, observe
 
 
 def _flags(infos: Sequence[Mapping[str, Any]]) -> dict[str, np.ndarray]:

@@ -14,12 +14,11 @@ import numpy as np
 from odaf.environments.reference_returns import reference_of
 from odaf.environments.registry import make
 from odaf.errors import ConfigError
-from odaf.evaluation.attacks import ATTACKS, AttackedPolicy, StepRule, knowledge_of
+from odaf.evaluation.attacks import ATTACKS, AttackedPolicy, Judge, StepRule, threat_model
 from odaf.evaluation.rollouts import rollout_in
 from odaf.evaluation.scores import Scores
 from odaf.evaluation.statistics import Estimate, t_interval
 from odaf.runs.evaluate import Trial
-from odaf.training.policy import Policy
 from odaf.training.run_directory import RunDirectory
 
 BUDGETS = (0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3)
@@ -147,9 +146,13 @@ def attack_curve(
         raise ConfigError(f"eps: {list(budgets)} holds a budget twice; give each once")
     trial = Trial.of(directory, episodes=episodes, seed=seed, step=step, environment=environment)
     policies = dict(trial.policies())
-    judge = None if attacker is None else _first_policy(attacker)
-    for policy in policies.values():
-        knowledge_of(policy, chosen, judge)  # refused before any environment is built
+    judges: dict[int, Judge | None] = dict.fromkeys(policies)
+    if attacker is not None:
+        judges = dict.fromkeys(policies, _first_judge(attacker))
+    for policy_seed, policy in policies.items():  # refused before any environment is built
+        if chosen.asks_critics and attacker is None:
+            judges[policy_seed] = Judge.of(trial.run, policy_seed, trial.step)
+        threat_model(policy, chosen, judges[policy_seed])
     make_env, limit = make(trial.environment), trial.rollouts.max_steps
     environments = [make_env() for _ in range(episodes)]
     played, scores, began = 0, [], time.perf_counter()
@@ -158,6 +161,7 @@ def attack_curve(
             found = {}
             for policy_seed, policy in policies.items():
                 # An empty box leaves nothing to look for; an attack on it gives the same bits.
+                judge = judges[policy_seed]
                 shown = AttackedPolicy(policy, chosen, budget, jr.key(seed), rule, judge) if budget else policy
                 found[policy_seed] = rollout_in(shown, environments, seed, limit)
             played += sum(int(episodes.lengths.sum()) for episodes in found.values())
@@ -169,9 +173,9 @@ def attack_curve(
     return AttackCurve(attack, rule, ascending, tuple(scores), played, time.perf_counter() - began, asked)
 
 
-def _first_policy(directory: str | os.PathLike[str]) -> Policy:
+def _first_judge(directory: str | os.PathLike[str]) -> Judge:
     run = RunDirectory(Path(directory))
-    return run.policy(run.seeds[0])
+    return Judge.of(run, run.seeds[0])
 
 
 def _plain(estimate: Estimate) -> dict[str, Any]:

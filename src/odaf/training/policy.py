@@ -1,92 +1,193 @@
-"""A trained learner as a function of the user's own observations: what can be carried away and used."""
+"""A trained actor as a function of the user's own observations: what can be carried away and used."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+import functools
+import math
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
-import equinox as eqx
+import jax
 import jax.numpy as jnp
+import jax.random as jr
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 
-from odaf.algorithms.base import Algorithm
+from odaf.components.policies import Actor
 from odaf.data.normalisation import Normaliser, unscale_actions
-from odaf.data.spec import Spec
-from odaf.errors import DatasetError, DivergenceError
+from odaf.errors import ConfigError, DatasetError, DivergenceError
+from odaf.training.policy_file import read_policy, write_policy
+
+Observation = np.ndarray | Sequence[Any] | Mapping[str, Any]
+_FEW = 64  # numbers that Python checks faster than NumPy
 
 
 @dataclass(frozen=True, eq=False)
 class Policy:
-    """Maps observations in the user's units to deterministic actions in the user's units, within their bounds.
+    """Maps observations in the user's units to actions in the user's units, within their bounds.
 
-    Holds all that is needed to act: the learner's parameters, the normaliser of observations and the action bounds.
-    Calls with equally many rows share one compiled function, also across policies of the same learner.
+    Holds all that is needed to act and nothing else: no learner, no critics, no state of training. Calls with equally
+    many rows share one compiled function, also across policies whose actors have one structure.
 
     Attributes:
-        algorithm: the learner that trained it.
-        spec: sizes and bounds of the task.
+        actor: what acts, on normalised observations, in [-1, 1].
         normaliser: the map of observations fitted on the training data.
-        state: the learner's parameters.
+        action_low: smallest action in the user's units, one entry a dimension; the actor's -1.
+        action_high: largest action; the actor's +1.
         observation_names: one name per observation dimension, for calls with a dict.
-        action_names: one name per action dimension.
+        action_names: one name per action dimension; may be empty.
         observation_units: one per observation dimension, as the log gave them; empty texts where it gave none.
         action_units: one per action dimension.
+        provenance: where it comes from, as plain JSON types; a run says learner, preset, seed and step.
     """
 
-    algorithm: Algorithm
-    spec: Spec
+    actor: Actor
     normaliser: Normaliser
-    state: Any
+    action_low: tuple[float, ...]
+    action_high: tuple[float, ...]
     observation_names: tuple[str, ...]
     action_names: tuple[str, ...] = ()
     observation_units: tuple[str, ...] = ()
     action_units: tuple[str, ...] = ()
+    provenance: Mapping[str, Any] = field(default_factory=dict)
 
-    def __call__(self, observation: np.ndarray | Sequence[Any] | Mapping[str, Any]) -> np.ndarray:
-        """The action for one observation [obs_dim] or a batch [rows, obs_dim]; a dict gives each column by its name.
+    @property
+    def obs_dim(self) -> int:
+        """Numbers in one observation."""
+        return len(self.normaliser.mean)
+
+    @property
+    def act_dim(self) -> int:
+        """Numbers in one action."""
+        return len(self.action_low)
+
+    # ---- acting -------------------------------------------------------------------------------------------------
+
+    def __call__(self, observation: Observation) -> np.ndarray:
+        """The deterministic action for one observation [obs_dim] or a batch [rows, obs_dim]; a dict gives each column
+        by its name.
 
         Returns:
             float32 actions [act_dim] or [rows, act_dim].
 
         Raises:
+            ConfigError: the policy has a memory, so that an action depends on the steps before; see `begin`.
             DatasetError: an observation has the wrong size, a name is missing or unknown, or a value is not finite.
             DivergenceError: the parameters are those of a run that diverged to infinity.
         """
-        rows = self._rows(observation)
-        single = rows.ndim == 1
-        batch = rows[None, :] if single else rows
-        mean, scale = self._scaling
-        actions = np.asarray(_act(self.algorithm, self.state, mean, scale, jnp.asarray(batch), self.spec))
-        if not np.isfinite(actions).all():
-            raise DivergenceError(
-                "policy: its action is not a finite number, so its parameters are broken: training diverged. "
-                "Use an earlier checkpoint, as in run.policy(seed, step=...)"
-            )
-        return actions[0] if single else actions
+        return self._without_memory(observation, None)
+
+    def sample(self, observation: Observation, key: int | PRNGKeyArray) -> np.ndarray:
+        """A draw from the policy; the same key gives the same draw, whose rows are independent.
+
+        A policy without randomness gives its deterministic action. Everything else is as for a call.
+
+        Args:
+            observation: as for a call.
+            key: a JAX random key, or a number to make one of.
+        """
+        return self._without_memory(observation, jr.key(key) if isinstance(key, int | np.integer) else key)
 
     @cached_property
-    def _scaling(self) -> tuple[Array, Array]:
-        return jnp.asarray(self.normaliser.mean), jnp.asarray(self.normaliser.scale)
+    def has_memory(self) -> bool:
+        """Whether actions depend on the steps before, so that `begin`, `act` and `observe` must be used."""
+        return bool(jax.tree.leaves(self.actor.begin(1)))
 
-    def _rows(self, observation: np.ndarray | Sequence[Any] | Mapping[str, Any]) -> np.ndarray:
-        if isinstance(observation, Mapping):
-            missing = [name for name in self.observation_names if name not in observation]
-            unknown = [name for name in observation if name not in self.observation_names]
-            if missing or unknown:
-                raise DatasetError(
-                    f"observation: missing {missing or 'none'}, unknown {unknown or 'none'}; "
-                    f"give exactly {', '.join(self.observation_names)}"
-                )
-            rows = np.stack([np.asarray(observation[name], np.float32) for name in self.observation_names], axis=-1)
-        else:
-            rows = np.asarray(observation, np.float32)
-        if rows.ndim not in (1, 2) or rows.shape[-1] != self.spec.obs_dim:
-            raise DatasetError(
-                f"observation: has shape {rows.shape}, but this policy takes [{self.spec.obs_dim}] or "
-                f"[rows, {self.spec.obs_dim}] in the order {', '.join(self.observation_names)}"
+    def begin(self, rows: int = 1) -> PyTree:
+        """The carry for `act` before the first step of `rows` episodes that are played side by side."""
+        return self.actor.begin(rows)
+
+    def act(
+        self, carry: PyTree, observation: Observation, key: int | PRNGKeyArray | None = None
+    ) -> tuple[np.ndarray, PyTree]:
+        """One step of every policy, with or without a memory.
+
+        Args:
+            carry: of `begin`, or what the last `act` or `observe` gave; one observation alone counts as one row.
+            observation: as for a call.
+            key: None for the deterministic action, else as for `sample`.
+
+        Returns:
+            Actions as of a call, and the next carry.
+
+        Raises:
+            DatasetError: as for a call; or the carry is of another number of rows.
+            DivergenceError: as for a call.
+        """
+        rows = self._rows(observation)
+        batch = rows[None] if rows.ndim == 1 else rows
+        episodes = {leaf.shape[0] for leaf in jax.tree.leaves(carry)}
+        if episodes - {len(batch)}:
+            raise DatasetError(f"carry: belongs to {episodes} episodes, and {len(batch)} observations came; begin anew")
+        key = jr.key(key) if isinstance(key, int | np.integer) else key
+        found, carry = self._step(self._arrays, carry, batch, key)
+        actions = _finite(np.asarray(found))
+        return (actions[0] if rows.ndim == 1 else actions), carry
+
+    def observe(self, carry: PyTree, rewards: np.ndarray | Sequence[float] | float) -> PyTree:
+        """The carry after the rewards [rows] that the last actions earned, in the log's units."""
+        if not self.has_memory:
+            return carry
+        return self.actor.observe(carry, jnp.asarray(np.atleast_1d(np.asarray(rewards, np.float32))))
+
+    # ---- files --------------------------------------------------------------------------------------------------
+
+    def save(self, file: str | os.PathLike[str]) -> None:
+        """Writes the policy to one file in the layout of safetensors, whole or not at all; an older one is replaced.
+
+        Raises:
+            CheckpointError: the file cannot be written.
+            ConfigError: the actor is of a class that is not registered in `odaf.components.stored.KINDS`.
+        """
+        write_policy(Path(file), vars(self))
+
+    @classmethod
+    def load(cls, file: str | os.PathLike[str]) -> "Policy":
+        """Inverse of `save`: the policy acts with the same bits on the same machine. Never runs code of the file.
+
+        Raises:
+            CheckpointError: the file is missing, damaged, or holds something else; the message names it.
+        """
+        return cls(**read_policy(Path(file)))
+
+    # ---- inside -------------------------------------------------------------------------------------------------
+
+    def _without_memory(self, observation: Observation, key: PRNGKeyArray | None) -> np.ndarray:
+        if self.has_memory:
+            raise ConfigError(
+                "policy: has a memory, so an action depends on the steps before; start with carry = policy.begin(), "
+                "then actions, carry = policy.act(carry, observation) and carry = policy.observe(carry, reward)"
             )
-        if not np.isfinite(rows).all():
+        rows = self._rows(observation)
+        if rows.ndim == 1:
+            return _finite(np.asarray(self._step(self._arrays, (), rows[None], key)[0]))[0]
+        return _finite(np.asarray(self._step(self._arrays, (), rows, key)[0]))
+
+    @cached_property
+    def _arrays(self) -> tuple[Array, ...]:
+        """What the compiled step takes: a plain tuple of arrays on the device is the quickest to hand over."""
+        return (
+            *map(jnp.asarray, jax.tree.leaves(self.actor)),
+            jnp.asarray(self.normaliser.mean),
+            jnp.asarray(self.normaliser.scale),
+        )
+
+    @cached_property
+    def _step(self) -> Callable[..., tuple[Array, PyTree]]:
+        return _compiled_step(jax.tree.structure(self.actor), self.action_low, self.action_high)
+
+    def _rows(self, observation: Observation) -> np.ndarray:
+        if isinstance(observation, Mapping):
+            observation = self._by_name(observation)
+        rows = np.asarray(observation, np.float32)
+        if rows.ndim not in (1, 2) or rows.shape[-1] != self.obs_dim:
+            raise DatasetError(
+                f"observation: has shape {rows.shape}, but this policy takes [{self.obs_dim}] or "
+                f"[rows, {self.obs_dim}] in the order {', '.join(self.observation_names)}"
+            )
+        if not _all_finite(rows):
             column = int(np.argwhere(~np.isfinite(rows))[0][-1])
             raise DatasetError(
                 f"observation: {self.observation_names[column]} is not a finite number; "
@@ -94,19 +195,48 @@ class Policy:
             )
         return rows
 
+    def _by_name(self, observation: Mapping[str, Any]) -> np.ndarray:
+        missing = [name for name in self.observation_names if name not in observation]
+        unknown = [name for name in observation if name not in self.observation_names]
+        if missing or unknown:
+            raise DatasetError(
+                f"observation: missing {missing or 'none'}, unknown {unknown or 'none'}; "
+                f"give exactly {', '.join(self.observation_names)}"
+            )
+        return np.stack([np.asarray(observation[name], np.float32) for name in self.observation_names], axis=-1)
 
-@eqx.filter_jit
-def _act(
-    algorithm: Algorithm,
-    state: Any,
-    mean: Float[Array, " obs_dim"],
-    scale: Float[Array, " obs_dim"],
-    observations: Float[Array, "rows obs_dim"],
-    spec: Spec,
-) -> Float[Array, "rows act_dim"]:
-    normalised = (observations - mean[None, :]) / scale[None, :]
-    scaled = algorithm.actor(state).mode(normalised)
-    actions = unscale_actions(scaled, spec.action_low, spec.action_high)
-    # Rounding may step over a bound by one unit in the last place.
-    low, high = jnp.asarray(spec.action_low, actions.dtype), jnp.asarray(spec.action_high, actions.dtype)
-    return jnp.clip(actions, low[None, :], high[None, :])
+
+def _finite(actions: np.ndarray) -> np.ndarray:
+    if not _all_finite(actions):
+        raise DivergenceError(
+            "policy: its action is not a finite number, so its parameters are broken: training diverged. "
+            "Use an earlier checkpoint, as in run.policy(seed, step=...)"
+        )
+    return actions
+
+
+def _all_finite(numbers: np.ndarray) -> bool:
+    if numbers.size > _FEW:
+        return bool(np.isfinite(numbers).all())
+    return math.isfinite(sum(numbers.ravel().tolist()))  # doubles: a few singles add up to no infinity
+
+
+@functools.lru_cache(maxsize=256)
+def _compiled_step(
+    structure: Any, low: tuple[float, ...], high: tuple[float, ...]
+) -> Callable[..., tuple[Array, PyTree]]:
+    """One step of all policies whose actors have this structure and whose actions these bounds."""
+
+    @jax.jit
+    def step(
+        arrays: tuple[Array, ...], carry: PyTree, observations: Float[Array, "rows obs_dim"], key: PRNGKeyArray | None
+    ) -> tuple[Float[Array, "rows act_dim"], PyTree]:
+        *leaves, mean, scale = arrays
+        actor: Actor = jax.tree.unflatten(structure, leaves)
+        scaled, carry = actor.act(carry, (observations - mean[None, :]) / scale[None, :], key)
+        actions = unscale_actions(scaled, low, high)
+        # Rounding may step over a bound by one unit in the last place.
+        bounds = (jnp.asarray(bound, actions.dtype)[None, :] for bound in (low, high))
+        return jnp.clip(actions, *bounds), carry
+
+    return step

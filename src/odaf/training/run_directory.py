@@ -140,13 +140,31 @@ class RunDirectory:
 
     def policy(self, seed: int, step: int | None = None) -> Policy:
         """What the seed had learned after `step` updates, or at its last checkpoint; needs no dataset."""
-        return self.policy_of(self.state(seed, step))
+        checkpoint = self.checkpoint(seed, step)
+        return self.policy_of(self.state(seed, checkpoint.step), seed=seed, step=checkpoint.step)
 
-    def policy_of(self, state: Any) -> Policy:
-        """The policy of a learner's state, with the names and units of the data it learns from."""
+    def policy_of(self, state: Any, **provenance: int) -> Policy:
+        """The policy of a learner's state, with the names and units of the data it learns from.
+
+        Args:
+            state: of the run's learner.
+            **provenance: what the policy says about where it comes from, beside learner, preset and data.
+        """
         fields = ("observation_names", "action_names", "observation_units", "action_units")
         columns = {field: tuple(self.data["summary"].get(field, ())) for field in fields}
-        return Policy(self.algorithm, self.spec, self.normaliser, state, **columns)
+        return Policy(
+            self.algorithm.actor(state),
+            self.normaliser,
+            self.spec.action_low,
+            self.spec.action_high,
+            **columns,
+            provenance={
+                "learner": self.algorithm.kind,
+                "preset": self.config.get("preset"),
+                "data_sha256": self.data.get("sha256"),
+                **provenance,
+            },
+        )
 
     def metrics(self, seed: int) -> list[dict[str, Any]]:
         """The lines of the seed's `metrics.jsonl`; one torn by a kill is left out."""
