@@ -23,14 +23,12 @@ if TYPE_CHECKING:
 class ReproduceOptions:
     """Measure a whole study: every record a JSON file of its own, then tables and figures drawn from those files."""
 
-    study: tyro.conf.Positional[str] = ""
+    study: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="STUDY")] = ""
     """What to measure; without it, the studies are listed."""
-    list: bool = False
-    """Only say what the study, or without one every study, costs in minutes of one core, and which records are there."""
+    list: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Measure nothing: say what the study, or every study, costs, and which of its records are there and count."""
     minutes: Annotated[float | None, tyro.conf.arg(metavar="N")] = None
-    """Stop after so many minutes. The order of the plan is the priority: phase by phase, and in a phase all methods with
-    one seed before the next seed begins. What is too long for the time left makes room for what fits; when nothing fits,
-    the first that is too long is begun, and goes on from its last checkpoint when the command is given again."""
+    """Stop after so many minutes, and do first what says most; see above."""
     workers: int = 1
     """Jobs at the same time, each in a process on cores of its own."""
     only: Annotated[tuple[str, ...], tyro.conf.arg(metavar="WORD ...")] = ()
@@ -49,10 +47,10 @@ def run(arguments: list[str]) -> None:
     options: Any = parse(_options(named), arguments, "reproduce")
     if options.list and not options.study:
         return _list_all(options)
+    if not options.study and arguments:
+        raise ConfigError(f"name a study first, as in `odaf reproduce pointmaze`; known are {', '.join(STUDIES)}")
     if not options.study:
-        print(
-            f"studies:\n{_studies()}\n\n`odaf reproduce STUDY` measures one, `odaf reproduce --list` says what each costs"
-        )
+        print(f"{_studies()}\n\n`odaf reproduce STUDY` measures one, `odaf reproduce --list` says what each costs")
         return None
     if options.study not in STUDIES:
         near = difflib.get_close_matches(options.study, STUDIES, n=1)
@@ -162,27 +160,32 @@ def _places(study: "Study", options: ReproduceOptions) -> tuple[Path, Path]:
     return options.out or Path("results") / study.name, options.work or Path("runs") / study.name
 
 
+_HOW = (
+    "A record that is there and says what would be measured today is not measured again, so the command can be stopped "
+    "and given again.",
+    "With --minutes, the order of the plan is the priority: phase by phase, and in a phase the first seed of every "
+    "method on one task, then on the next task, before any second seed. What is too long for the time that is left "
+    "makes room for what fits. When nothing fits, the first that is too long is begun; it goes on from its last "
+    "checkpoint next time.",
+)
+
+
 def _options(named: str | None) -> type[ReproduceOptions]:
     """The options, with a help page that knows the studies, or the one that is named."""
-    whole = ReproduceOptions.__doc__ or ""
-    goes_on = (
-        "A record that is there and says what would be measured today is not measured again, so the command can be "
-    )
-    goes_on += "stopped and given again. docs/reproduce.md explains what makes a record count."
     lines = _studies() if named is None else _parts(STUDIES[named])
-    text = f"{whole}\n\n{goes_on}\n\n{lines}"
+    text = "\n\n".join([ReproduceOptions.__doc__ or "", *_HOW, lines])
     kind = type("ReproduceOptions", (ReproduceOptions,), {"__doc__": text})
     return dataclasses.dataclass(frozen=True)(kind)
 
 
 def _studies() -> str:
-    return "\n".join(f"  {name}: {study.summary}" for name, study in STUDIES.items())
+    return "studies:\n" + "\n".join(f"  {name}: {study.summary}" for name, study in STUDIES.items())
 
 
 def _parts(study: "Study") -> str:
     """What `--phase` and `--only` take in this study."""
     from odaf.studies.job import labels_of
 
-    phases = [f"{number}: {phase.title}" for number, phase in enumerate(study.plan(), start=1)]
-    words = [f"{kind}: {', '.join(found)}" for kind, found in labels_of(study.jobs()).items()]
-    return "\n\n".join([f"{study.name}: {study.summary}.", "phases\n" + "\n".join(phases), "words of --only", *words])
+    phases = "\n".join(f"  {number}: {phase.title}" for number, phase in enumerate(study.plan(), start=1))
+    words = "\n".join(f"  {kind}: {', '.join(found)}" for kind, found in labels_of(study.jobs()).items())
+    return f"{study.name}: {study.summary}.\n\nphases:\n{phases}\n\nwords of --only:\n{words}"

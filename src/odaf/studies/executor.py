@@ -2,13 +2,14 @@
 
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol, TypeVar
+from typing import Any, Protocol, TypeVar, runtime_checkable
 
 from odaf.runs.workers import run_jobs
 
 Item = TypeVar("Item")
 
 
+@runtime_checkable
 class Executor(Protocol):
     """What the schedule needs of a place to do jobs in; a cluster offers the same two.
 

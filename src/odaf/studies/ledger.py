@@ -36,7 +36,7 @@ class Standing:
 
 
 class Ledger:
-    """The records of one study in one directory; nothing is kept in memory but the logs they stand on.
+    """The records of one study in one directory; nothing is kept in memory but `data`, the logs they stand on.
 
     Args:
         study: whose records they are.
@@ -49,7 +49,7 @@ class Ledger:
     def __init__(self, study: Study, out: Path):
         self.study, self.out = study, out
         written = _read(out / DATA, "make it again with another --out, or restore it") if (out / DATA).exists() else {}
-        self._data: dict[str, dict[str, Any]] = {**self._data_of_records(), **written}
+        self.data: dict[str, dict[str, Any]] = {**self._data_of_records(), **written}
 
     def path(self, job: Job) -> Path:
         """The file of a job's record, there or not."""
@@ -95,7 +95,7 @@ class Ledger:
         Raises:
             ConfigError: its recipe is that of the records that are there, and its rows are not.
         """
-        recipe, known = log.recipe(), self._data.get(log.name)
+        recipe, known = log.recipe(), self.data.get(log.name)
         if known is not None and not differences(known["recipe"], recipe):
             if fingerprint not in known["sha256"]:
                 raise ConfigError(
@@ -105,8 +105,8 @@ class Ledger:
                 )
         else:  # the first of this recipe: records of another one are stale by it
             known = {"recipe": recipe, "sha256": [fingerprint]}
-        self._data[log.name] = known
-        _write(self.out / DATA, dict(sorted(self._data.items())))
+        self.data[log.name] = known
+        _write(self.out / DATA, dict(sorted(self.data.items())))
 
     def draw(self) -> None:
         """Draws the study's tables and figures from the records that count."""
@@ -114,7 +114,7 @@ class Ledger:
 
     def _differences(self, job: Job, record: Record) -> list[str]:
         try:
-            recorded = job.do.recorded(record, self._data)
+            recorded = job.do.recorded(record, self.data)
         except (KeyError, TypeError) as error:
             return [f"it is no record of this kind of work ({type(error).__name__}: {error})"]
         return differences(recorded, job.do.identity(), job.do.unrecorded())

@@ -4,14 +4,14 @@ import sys
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, TextIO
+from typing import Any, Protocol, runtime_checkable
 
 from odaf.studies.cost import minutes
 
 _SECONDS_BETWEEN_NEWS = 0.5
 _SECONDS_BETWEEN_LINES = 30.0
 
-News = tuple[str, str, str, float]  # job, "share" or "message", text, share of the job that is done
+News = tuple[str, str, str, float]  # job, "share" or "message", text, done share of what was left when it began
 
 
 class JobReport:
@@ -23,10 +23,11 @@ class JobReport:
     """
 
     def __init__(self, job: str, tell: Callable[[News], object]):
-        self._job, self._tell, self._stage, self._total, self._unit, self._told = job, tell, "", 0, "updates", 0.0
+        self._job, self._tell, self._told = job, tell, 0.0
+        self._stage, self._unit, self._first, self._total = "", "", 0, 0
 
     def start(self, stage: str, total: int, done: int = 0, unit: str = "updates") -> None:
-        self._stage, self._total, self._unit = stage, total, unit
+        self._stage, self._unit, self._first, self._total = stage, unit, done, total
         self._say(done)
 
     def advance(self, done: int, note: str = "") -> None:
@@ -44,7 +45,19 @@ class JobReport:
         # Only the training proper says how much of a job is done; the stages before it are short.
         counts = self._total > 0 and self._unit == "updates" and self._stage.endswith("training")
         text = f"{done:,} of {self._total:,} {self._unit}" if counts else self._stage
-        self._tell((self._job, "share", text, done / self._total if counts else 0.0))
+        share = (done - self._first) / max(1, self._total - self._first) if counts else 0.0
+        self._tell((self._job, "share", text, share))
+
+
+@runtime_checkable
+class Stream(Protocol):
+    """What lines can be written to: standard error, or another open text file."""
+
+    def write(self, text: str, /) -> object: ...
+
+    def flush(self) -> object: ...
+
+    def isatty(self) -> bool: ...
 
 
 @dataclass
@@ -57,7 +70,7 @@ class Display:
     """
 
     name: str
-    stream: TextIO = field(default_factory=lambda: sys.stderr)
+    stream: Stream = field(default_factory=lambda: sys.stderr)
 
     def begin(self, missing: int, jobs: int, estimates: Mapping[str, float], width: int, until: float | None) -> None:
         """Says what is to be done.
@@ -81,7 +94,7 @@ class Display:
 
             latest = TextColumn("{task.fields[text]}")
             columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), latest)
-            self._bar = Progress(*columns, console=Console(file=self.stream), transient=True)
+            self._bar = Progress(*columns, console=Console(stderr=True), transient=True)
             self._task = self._bar.add_task(self.name, total=sum(estimates.values()) or None, text="")
             self._bar.start()
 
@@ -125,7 +138,7 @@ class Display:
         worth, whole, passed = self._worth(), sum(self._estimates.values()), time.monotonic() - self._began
         if len(self._done) == len(self._estimates):
             return ""
-        if worth < 0.01 * whole or not passed:  # nothing to judge this machine by yet
+        if worth <= 0.01 * whole or not passed:  # nothing to judge this machine by yet
             seconds = (whole - worth) / self._width
         else:
             seconds = (whole - worth) * passed / worth
@@ -141,4 +154,5 @@ class Display:
         if self._bar is not None:
             self._bar.console.print(line, markup=False, highlight=False, soft_wrap=True)
         else:
-            print(line, file=self.stream, flush=True)
+            self.stream.write(f"{line}\n")
+            self.stream.flush()

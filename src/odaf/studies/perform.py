@@ -6,7 +6,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from odaf.runs.workers import tell
 from odaf.studies.cost import Costs
@@ -14,7 +14,9 @@ from odaf.studies.executor import Executor
 from odaf.studies.job import Job, Log, Record, Work
 from odaf.studies.ledger import Ledger
 from odaf.studies.news import Display, JobReport
-from odaf.training.progress import ProgressReport
+
+if TYPE_CHECKING:
+    from odaf.training.progress import ProgressReport
 
 
 @dataclass(frozen=True)
@@ -27,7 +29,7 @@ class MakeLog(Work):
 
     made: Log
 
-    def do(self, place: Path, progress: ProgressReport) -> Record:
+    def do(self, place: Path, progress: "ProgressReport") -> Record:
         from odaf.data.dataset import Dataset
 
         progress.start(f"data of {self.made.name}", 0)

@@ -76,7 +76,8 @@ class Training(Work):
         return float(min(max(made, default=0), self.steps))
 
     def likeness(self) -> tuple[Hashable, ...]:
-        return (self.title, (self.task.name, self.method), self.method, (self.task.name, self.preset), self.preset)
+        task, method, preset = ("task", self.task.name), ("method", self.method), ("preset", self.preset)
+        return (("run", self.title), (task, method), method, (task, preset), preset)
 
     def guess(self) -> float:
         return 0.025  # forty updates a second, about what ten critics of two layers of 256 make on one core
