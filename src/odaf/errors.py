@@ -17,8 +17,8 @@ class OdafError(Exception):
 
     Args:
         message: what is wrong and where; with `remedies`, without a way out of its own.
-        remedies: alternative ways out, the most advisable first; at least one names no option. Code that several layouts
-            share gives them here: the message shows those whose options exist where the user is, see `offer`.
+        remedies: alternative ways out, the most advisable first; at least one names no option. Code that several
+            layouts share gives them here: the message shows those whose options exist where the user is, see `offer`.
 
     Attributes:
         remedies: as given.
