@@ -160,7 +160,7 @@ NAN_REWARDS = np.array([1.0, np.nan, 3.0, np.inf, 20.0])
 
 WRONG = {
     "strings": ({"actions": [["a"]] * 5}, "'actions' holds <U1 values, not real numbers; convert"),
-    "objects": ({"rewards": np.array([1, None, 3, 4, 5], object)}, "'rewards' holds object values"),
+    "objects": ({"rewards": np.array([1, "2", 3, 4, 5], object)}, "'rewards' holds object values"),
     "ragged": ({"observations": [[1.0], [1.0, 2.0]]}, "'observations' is not a rectangular array"),
     "flat": (
         {"actions": np.zeros(5)},

@@ -1,7 +1,6 @@
 """Jobs that a fresh process can import, for the tests of worker processes."""
 
 import os
-import time
 
 from odaf.runs.workers import tell
 
@@ -20,11 +19,6 @@ def halve(number: int) -> int:
     for part in ("half of", number):
         tell((number, part))
     return number // 2
-
-
-def sleep(seconds: float) -> float:
-    time.sleep(seconds)
-    return seconds
 
 
 def process(_: int) -> int:

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from odaf.data import episodes, validation
+from odaf.data.arrays import identifiers
 from odaf.data.rows import Rows
 from odaf.errors import DatasetError
 
@@ -51,11 +52,11 @@ def completed(
         raise DatasetError(
             f"{source}: row_numbers names {len(row_numbers):,} rows, there are {rows:,}; number each once"
         )
-    extra = validation.infos(source, infos, rows)
+    extra = validation.infos(source, infos, rows, row_numbers)
     if "next_observations" in own:
         validation.same_width(source, own["observations"], own["next_observations"])
     if episode is not None:
-        episode = np.asarray(episode)
+        episode = identifiers(source, "episode", episode, row_numbers)
         if episode.shape != (rows,):
             raise DatasetError(
                 f"{source}: field 'episode' must be [rows], one id per step; "

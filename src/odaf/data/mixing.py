@@ -88,7 +88,7 @@ def _joined(first: Dataset, second: Dataset, construction: dict[str, Any], whole
     infos = [
         name
         for name, values in first.infos.items()
-        if name in second.infos and second.infos[name].shape[1:] == values.shape[1:]
+        if name in second.infos and _can_be_joined(values, second.infos[name])
     ]
     columns["infos"] = {name: np.concatenate([part.infos[name] for part in parts]) for name in infos}
     dropped = sorted({*first.infos, *second.infos} - set(infos))
@@ -100,6 +100,14 @@ def _joined(first: Dataset, second: Dataset, construction: dict[str, Any], whole
         provenance=_provenance(whole, construction, [len(part) for part in parts], dropped),
         source="mix",
     )
+
+
+def _can_be_joined(one: np.ndarray, other: np.ndarray) -> bool:
+    """Whether two further columns have one shape, and a common type that holds the numbers of both exactly."""
+    common = np.result_type(one, other)
+    whole = [column.dtype.itemsize for column in (one, other) if column.dtype.kind in "iu"]
+    exact = common.kind != "f" or not whole or max(whole) < common.itemsize
+    return one.shape[1:] == other.shape[1:] and exact
 
 
 def first_rows(dataset: Dataset, count: int) -> Dataset:
@@ -156,7 +164,8 @@ def _provenance(
             {
                 "finding": "infos-dropped",
                 "count": len(dropped),
-                "message": f"further columns that only one of the two has were left out: {', '.join(dropped)}",
+                "message": "further columns that the two do not both have, in types that go together, were left out: "
+                + ", ".join(dropped),
             }
         )
     provenance: dict[str, Any] = {

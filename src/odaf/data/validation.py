@@ -6,6 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from odaf.data.arrays import numbers
+from odaf.data.rounding import merged_in_single
+from odaf.data.row_names import RowNumbers, any_in_row, name_rows, number_of
 from odaf.errors import DatasetError
 
 # Actions may miss their bounds by this share of the range (rounding in the logger); they are then moved onto them.
@@ -14,55 +17,13 @@ BOUND_TOLERANCE = 1e-3
 # Rows looked at together, so that what is computed on the way stays small beside the data.
 _PIECE = 65_536
 
-# What messages call each row.
-RowNumbers = Sequence[int] | np.ndarray
-
 # (low, high), each a number or one per action; or {action name: (low, high)}.
 Bounds = Mapping[str, Any] | Sequence[Any] | np.ndarray
 
 
-def name_rows(mask: np.ndarray, row_numbers: RowNumbers | None = None, limit: int = 5) -> str:
-    """`3 of 40 rows, the first of them 0, 7, 12`.
-
-    Args:
-        mask: [rows] marks the offending ones.
-        row_numbers: [rows] what the source calls each; None counts from 0, as is done where the number of rows differs
-            from that of the mask, which is then of a column that does not fit the others.
-        limit: how many to name.
-    """
-    rows = np.flatnonzero(mask)
-    shown = ", ".join(str(number_of(int(row), len(mask), row_numbers)) for row in rows[:limit])
-    if len(rows) > 1:
-        return f"{len(rows):,} of {len(mask):,} rows, the first of them {shown}"
-    return f"row {shown} of {len(mask):,}" if row_numbers is None else f"row {shown}"
-
-
-def number_of(row: int, rows: int, row_numbers: RowNumbers | None) -> int:
-    """What the source calls a row; `row` itself where it has no numbers for that many rows."""
-    return row if row_numbers is None or len(row_numbers) != rows else int(row_numbers[row])
-
-
-def any_in_row(mask: np.ndarray) -> np.ndarray:
-    """[rows] bool: whether any entry of the row is marked; `mask` is [rows] or [rows, columns]."""
-    return np.asarray(mask.reshape(len(mask), -1).any(axis=1))
-
-
-def numbers(source: str, field: str, values: Any) -> np.ndarray:
-    """`values` as a real-valued NumPy array, uncopied where possible; strings, objects and complex are refused."""
-    try:
-        array = np.asarray(values)
-    except ValueError as error:  # ragged nested lists
-        raise DatasetError(f"{source}: field '{field}' is not a rectangular array ({error}); pad or cut it") from error
-    if array.dtype.kind not in "biuf":
-        raise DatasetError(
-            f"{source}: field '{field}' holds {array.dtype} values, not real numbers; convert the column to float32"
-        )
-    return array
-
-
 def matrix(source: str, field: str, values: Any, row_numbers: RowNumbers | None = None) -> np.ndarray:
     """[rows, dimensions] float32 and finite, copied unless nobody can change it."""
-    array = numbers(source, field, values)
+    array = numbers(source, field, values, row_numbers)
     if array.ndim != 2:
         remedy = f"pass {field}[:, None] if it has one dimension per row" if array.ndim == 1 else "flatten each row"
         raise DatasetError(f"{source}: field '{field}' must be [rows, dimensions], got shape {array.shape}; {remedy}")
@@ -73,12 +34,14 @@ def matrix(source: str, field: str, values: Any, row_numbers: RowNumbers | None 
 
 def vector(source: str, field: str, values: Any, row_numbers: RowNumbers | None = None) -> np.ndarray:
     """[rows] float32 and finite, copied unless nobody can change it; [rows, 1] is accepted."""
-    return _single_precision(source, field, _one_per_row(source, field, numbers(source, field, values)), row_numbers)
+    return _single_precision(
+        source, field, _one_per_row(source, field, numbers(source, field, values, row_numbers)), row_numbers
+    )
 
 
 def flags(source: str, field: str, values: Any, row_numbers: RowNumbers | None = None) -> np.ndarray:
     """[rows] bool, copied; [rows, 1] and numbers that are all 0 or 1 are accepted."""
-    array = _one_per_row(source, field, numbers(source, field, values))
+    array = _one_per_row(source, field, numbers(source, field, values, row_numbers))
     if array.dtype != bool:
         odd = (array != 0) & (array != 1)
         if odd.any():
@@ -143,12 +106,12 @@ def action_bounds(source: str, actions: np.ndarray, names: tuple[str, ...], boun
                 f"{source}: action_bounds must name every action once; missing {missing}, unknown {unknown}, "
                 f"actions are {list(names)}"
             )
-        pair = np.array([bounds[name] for name in names], np.float32).T
+        pair = np.stack([_edges(bounds[name]) for name in names]).T
         remedy = "give (low, high) with low below high"
     else:
         try:
             low, high = bounds
-            pair = np.stack([np.broadcast_to(np.asarray(edge, np.float32), (act_dim,)) for edge in (low, high)])
+            pair = np.stack([np.broadcast_to(_edges(edge), (act_dim,)) for edge in (low, high)])
         except (ValueError, TypeError) as error:
             raise DatasetError(
                 f"{source}: action_bounds must be (low, high), each one number or {act_dim} numbers, or a mapping from "
@@ -163,6 +126,11 @@ def action_bounds(source: str, actions: np.ndarray, names: tuple[str, ...], boun
             f"[{pair[0, index]}, {pair[1, index]}]; {remedy}"
         )
     return pair
+
+
+def _edges(values: Any) -> np.ndarray:
+    """Numbers as float32; masked ones as NaN, since no bound is known there."""
+    return np.ma.filled(np.ma.asarray(values).astype(np.float32), np.nan)
 
 
 def outside_bounds(
@@ -212,15 +180,21 @@ def units(source: str, field: str, given: Sequence[str] | None, count: int) -> t
     return result
 
 
-def infos(source: str, columns: Mapping[str, Any], rows: int) -> dict[str, np.ndarray]:
-    """Further columns by name, copied: real numbers or bool with one entry per step."""
+def infos(
+    source: str, columns: Mapping[str, Any], rows: int, row_numbers: RowNumbers | None = None
+) -> dict[str, np.ndarray]:
+    """Further columns by name, copied: numbers of any precision, bool or dates, with one entry per step.
+
+    What is missing becomes NaN where the column can hold that. Dates and durations become int64 in their own
+    resolution, counted from 1970 or from zero.
+    """
     own: dict[str, np.ndarray] = {}
     for name, values in columns.items():
         if not isinstance(name, str) or not name or "/" in name or name.startswith("."):
             raise DatasetError(
                 f"{source}: infos: name {name!r} must be a non-empty text without a slash or leading dot"
             )
-        array = np.array(numbers(source, f"infos/{name}", values))
+        array = np.array(numbers(source, f"infos/{name}", values, row_numbers, further=True))
         if array.ndim == 0 or len(array) != rows:
             raise DatasetError(
                 f"{source}: field 'infos/{name}' has shape {array.shape}, but there are {rows:,} rows; "
@@ -254,7 +228,7 @@ def _single_precision(source: str, field: str, array: np.ndarray, row_numbers: R
         return array  # nobody can change it, so it may be shared
     with np.errstate(over="ignore"):
         result = array.astype(np.float32)
-    if array.dtype.itemsize <= 4:
+    if array.dtype.itemsize < 4 or array.dtype == np.float32:
         return result
     bad = ~np.isfinite(result)
     if bad.any():
@@ -263,4 +237,14 @@ def _single_precision(source: str, field: str, array: np.ndarray, row_numbers: R
             f"{source}: field '{field}' is too large for single precision in {name_rows(rows, row_numbers)}; "
             "change its unit"
         )
+    columns = array.reshape(len(array), -1).T if array.size else ()
+    for index, column in enumerate(columns):
+        if (merged := merged_in_single(column)) is not None:
+            place = "" if array.ndim == 1 else f" (column {index})"
+            raise DatasetError(
+                f"{source}: field '{field}'{place} holds {merged.distinct:,} different numbers, up to "
+                f"{merged.largest}, of which single precision keeps {merged.kept:,} apart, "
+                f"{name_rows(merged.rows, row_numbers)}; subtract an offset or change its unit before, or keep the "
+                "column among the infos"
+            )
     return result

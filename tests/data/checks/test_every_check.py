@@ -211,6 +211,10 @@ SPOILED: dict[str, tuple[Any, Any]] = {
     ),
     "a clock among observations": (
         ({"observations": CLEAN["observations"] + [0.0, 1.7e9, 0.0]}, ("next_observations",)),
+        ("far-from-zero", "error", "observations", 1, ()),
+    ),
+    "a clock among observations, already rounded": (
+        ({"observations": (CLEAN["observations"] + [0.0, 1e6, 0.0]).astype(np.float32)}, ("next_observations",)),
         ("far-from-zero", "warning", "observations", 1, ()),
     ),
     "transitions twice": (

@@ -5,6 +5,7 @@ import numpy as np
 from odaf.data.checks.findings import Finding
 from odaf.data.checks.moments import Moments
 from odaf.data.checks.stream import FLAGS, Block, Facts, Tally, any_column
+from odaf.data.rounding import few_steps_in_single
 
 _LARGEST = float(np.finfo(np.float32).max)
 SCALE_RATIO = 1e4
@@ -155,7 +156,18 @@ class Columns:
                 )
             )  # fmt: skip
         with np.errstate(divide="ignore", invalid="ignore"):
-            far = np.flatnonzero((moments.std > 0) & (np.abs(moments.mean) > 1e5 * moments.std))
+            far = (moments.std > 0) & (np.abs(moments.mean) > 1e5 * moments.std)
+        lost = far & self._lost_in_single(moments)
+        if lost.any():
+            columns = np.flatnonzero(lost)
+            found.append(
+                Finding(
+                    "far-from-zero", "error", "observations", len(columns), (),
+                    f"{self._names('observations', columns)} vary by less than single precision can hold at their size",
+                    "subtract a constant at the source, or keep a clock or counter out of the observations",
+                )
+            )  # fmt: skip
+        far = np.flatnonzero(far & ~lost)
         if len(far):
             found.append(
                 Finding(
@@ -166,6 +178,12 @@ class Columns:
                 )
             )  # fmt: skip
         return found
+
+    def _lost_in_single(self, moments: Moments) -> np.ndarray:
+        """[columns] bool: those of double precision that `Dataset.from_arrays` refuses as indistinguishable."""
+        if np.dtype(self._facts.log.columns["observations"].dtype).itemsize < 8:
+            return np.zeros(moments.std.shape, bool)
+        return few_steps_in_single(moments.low, moments.high)
 
     def _reward(self, moments: Moments) -> list[Finding]:
         if moments.count == 0 or moments.low[0] != moments.high[0]:

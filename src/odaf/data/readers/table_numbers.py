@@ -16,12 +16,10 @@ from odaf.data.readers.table_cells import (
     refuse_missing,
     refuse_type,
 )
+from odaf.data.rounding import merged_in_single
 from odaf.data.validation import any_in_row
 
-_LARGEST_SINGLE = 2.0**24  # whole numbers up to here are exact in single precision
 _LARGEST_DOUBLE = 2.0**53
-# A column whose values single precision parts into fewer steps than this, and which has more, would lose its meaning.
-_FEWEST_STEPS = 256
 
 
 def as_numbers(cells: Cells, on_missing: OnMissing = "error") -> np.ndarray:
@@ -45,7 +43,7 @@ def as_numbers(cells: Cells, on_missing: OnMissing = "error") -> np.ndarray:
         over &= np.isfinite(array)
         if over.any():
             refuse(cells, any_in_row(over), "is too large for single precision", "change its unit")
-    _refuse_merged(cells, array, result)
+    _refuse_merged(cells, array)
     return result
 
 
@@ -91,7 +89,7 @@ def as_flags(cells: Cells, holes: Holes | None = None) -> np.ndarray:
         refuse_type(cells)
     if odd.any():
         remedies = ["use true and false, or 1 and 0", "derive the flag"]
-        if odd[0] and table_text.begins_with_a_unit(cells):
+        if cells.units_row and odd[0] and int(odd.sum()) < len(odd):
             remedies.insert(0, "pass units_row=True if that row holds units")
         refuse(cells, odd, "is neither true nor false", *remedies)
     missing = refuse_missing(cells, values, "write true or false into every row", holes)
@@ -224,31 +222,19 @@ def _filled(cells: Cells, values: pl.Series, width: int, on_missing: OnMissing) 
     return values.cast(pl.Float64 if values.dtype != pl.Float32 else pl.Float32).fill_null(np.nan)
 
 
-def _refuse_merged(cells: Cells, array: np.ndarray, single: np.ndarray) -> None:
+def _refuse_merged(cells: Cells, array: np.ndarray) -> None:
     """Raises where single precision makes one number of several, as of times and counters in large numbers."""
-    if array.dtype.itemsize < 4 or array.dtype in (np.float32, np.bool_):
-        return
-    for column, narrow in zip(array.T, single.T, strict=True):
-        known = np.isfinite(column) if column.dtype.kind == "f" else np.ones(len(column), bool)
-        if not known.any() or np.abs(narrow[known]).max() <= _LARGEST_SINGLE:
+    for column in array.T:
+        merged = merged_in_single(column)
+        if merged is None:
             continue
-        values, narrow = column[known], narrow[known]
-        whole = column.dtype.kind in "iu" or (
-            np.abs(values).max() <= _LARGEST_DOUBLE and bool((values == np.floor(values)).all())
-        )
-        steps = (float(narrow.max()) - float(narrow.min())) / float(np.spacing(np.abs(narrow).max()))
-        if not whole and steps >= _FEWEST_STEPS:
-            continue
-        distinct, kept = np.unique(values), np.unique(narrow)
-        if len(kept) == len(distinct):
-            continue
-        formula = f"put a formula in its place, such as '{cells.name}_since = {cells.name} - {values.min():.10g}'"
-        again = np.append(False, distinct[1:].astype(np.float32) == distinct[:-1].astype(np.float32))
+        known = column[np.isfinite(column)]
+        formula = f"put a formula in its place, such as '{cells.name}_since = {cells.name} - {known.min():.10g}'"
         refuse(
             cells,
-            np.isin(column, distinct[again]),
-            f"holds {len(distinct):,} different numbers, up to {values.max():.10g}, of which single precision keeps "
-            f"{len(kept):,} apart",
-            *([formula] if np.abs(values.astype(np.float64)).max() <= _LARGEST_DOUBLE else []),
+            merged.rows,
+            f"holds {merged.distinct:,} different numbers, up to {merged.largest:.10g}, of which single precision "
+            f"keeps {merged.kept:,} apart",
+            *([formula] if np.abs(known.astype(np.float64)).max() <= _LARGEST_DOUBLE else []),
             "leave the column out",
         )
