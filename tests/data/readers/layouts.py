@@ -70,6 +70,15 @@ def write_d4rl_packed(path, episodes):
     return packed
 
 
+def write_d4rl_archive(path, episodes):
+    file = write_d4rl(path, episodes)
+    with h5py.File(file) as source:
+        names = ("observations", "actions", "rewards", "next_observations", "terminals", "timeouts", "infos/qpos")
+        np.savez(path / "file.npz", **{name: np.asarray(source[name]) for name in names})
+    file.unlink()
+    return path / "file.npz"
+
+
 def metadata_of(episodes):
     box = {"type": "Box", "dtype": "float32", "shape": [2], "low": [-1.0, -1.0], "high": [1.0, 1.0]}
     return {
@@ -241,6 +250,7 @@ TIMED = {"time": "time", "time_step": 0.5}
 # Files of layouts that say themselves what their fields mean. Name: (writer, reader, options of the reader).
 LAYOUTS: dict[str, Any] = {
     "d4rl": (write_d4rl, readers.read, {}),
+    "d4rl-archive": (write_d4rl_archive, readers.read, {}),
     "d4rl-packed": (write_d4rl_packed, readers.read, {}),
     "minari-hdf5": (write_minari_hdf5, readers.read, {"observations": ["goal", "state"]}),
     "minari-arrow": (write_minari_arrow, readers.read, {"observations": ["goal", "state"]}),

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from odaf.data import Dataset, readers, storage
+from odaf.data.dataset import COLUMNS
 from odaf.data.readers import d4rl, hdf5
 from odaf.errors import DatasetError
 
@@ -336,10 +337,59 @@ WRONG = {
 }
 
 
+def test_an_archive_of_the_same_keys_is_read_alike(write, tmp_path):
+    fields = {**columns(), "infos/qpos": np.arange(ROWS) + 2**40, "metadata/algorithm": np.array("SAC")}
+    np.savez(tmp_path / "hopper.npz", **fields)
+    archive, file = Dataset.load(tmp_path / "hopper.npz"), Dataset.load(write(**{"infos/qpos": fields["infos/qpos"]}))
+    for name in (*COLUMNS, "episode_starts"):
+        np.testing.assert_array_equal(getattr(archive, name), getattr(file, name))
+    assert archive.infos["qpos"].dtype == np.int64 and archive.infos["qpos"][3] == 2**40 + 3
+    assert archive.provenance["algorithm"] == "SAC" and archive.provenance["format"] == "d4rl"
+    np.savez(tmp_path / "hopper.npz", **{name: fields[name] for name in fields if name != "rewards"})
+    with pytest.raises(DatasetError, match=r"hopper.npz: field 'rewards' is missing; the file has \['actions'"):
+        Dataset.load(tmp_path / "hopper.npz")
+
+
+def test_masks_that_contradict_the_terminals_are_those_of_another_layout(write):
+    fell = columns()["terminals"]
+    assert Dataset.load(write(masks=~fell)).terminated.sum() == 1
+    with pytest.raises(DatasetError, match=r"'masks' says that the task goes on after row 4 of 12, .*two layouts fit"):
+        Dataset.load(write(masks=np.ones(ROWS)))
+
+
+def test_values_that_were_never_written_are_missing(write):
+    """NetCDF's libraries write HDF5 files and name in an attribute the number that stands for nothing."""
+    path = write(**{"infos/lamp": np.arange(ROWS), "infos/speed": np.where(np.arange(ROWS) == 2, -999.0, 1.0)})
+    with h5py.File(path, "r+") as file:
+        file["infos/speed"].attrs["missing_value"] = np.array([-999.0])
+        file["infos/lamp"].attrs["_FillValue"] = -1
+    infos = Dataset.load(path).infos
+    np.testing.assert_array_equal(np.isnan(infos["speed"]), np.arange(ROWS) == 2)
+    assert infos["lamp"].dtype == np.int64
+    for name, message in (
+        ("rewards", "field 'rewards' holds NaN or infinity in row 7"),
+        ("infos/lamp", "field 'infos/lamp' lacks a value in row 7, where it holds 7, its attribute '_FillValue'"),
+        ("terminals", "field 'terminals' lacks a value in 11 of 12 rows, the first of them 0, 1"),
+    ):
+        path = write(**{"infos/lamp": np.arange(ROWS)})
+        with h5py.File(path, "r+") as file:
+            file[name].attrs["_FillValue"] = np.asarray(file[name])[7]
+        with pytest.raises(DatasetError, match=message):
+            Dataset.load(path)
+
+
+def test_packed_numbers_are_not_taken_for_the_values(write):
+    path = write(actions=np.arange(3 * ROWS, dtype=np.int16).reshape(ROWS, 3))
+    with h5py.File(path, "r+") as file:
+        file["actions"].attrs["scale_factor"] = 0.01
+    with pytest.raises(DatasetError, match="'actions' holds packed numbers, .*'scale_factor'.*; unpack them"):
+        Dataset.load(path)
+
+
 def test_flat_arrays_beside_episodes_as_groups(write):
     """Which of the two is meant must be said; the flat arrays alone are then not taken for the whole file."""
     path = write(**{"episode_0/actions": np.zeros((3, 1))})
-    with pytest.raises(DatasetError, match="hopper.hdf5: holds flat arrays .* say which to read with format="):
+    with pytest.raises(DatasetError, match="hopper.hdf5: two layouts fit, .* write the one that counts into a file"):
         Dataset.load(path)
     with pytest.raises(DatasetError, match="hopper.hdf5: .*one group per episode .*as Minari writes; give Minari"):
         Dataset.load(path, format="d4rl")

@@ -1,7 +1,9 @@
 """The layout is told from the contents; what would run code is refused before anything is loaded."""
 
 import bz2
+import contextlib
 import gzip
+import itertools
 import pickle
 import zipfile
 
@@ -67,6 +69,64 @@ def test_contents_decide_and_the_name_does_not(tmp_path, name, suffix):
             readers.detect(path)
         return
     assert readers.detect(path) == name.split(" ")[0]
+
+
+FLAT = ("observations", "actions", "rewards", "terminals")
+# Fields in one HDF5 file, by what each layout alone has.
+MARKS = {
+    "D4RL": (*FLAT, "timeouts"),
+    "Minari": ("episode_0/rewards",),
+    "d3rlpy": ("columns", "num_episodes", "version", "rewards_0"),
+    "d3rlpy 1": (*FLAT, "episode_terminals", "discrete_action"),
+}
+# (members of an archive, the layout or the two that fit)
+ARCHIVES = [
+    ((*FLAT, "timeouts"), "d4rl"),
+    ((*FLAT, "infos/qpos"), "d4rl"),
+    ((*FLAT, "next_observations"), "d4rl"),
+    (("observations", "actions", "terminals", "timeouts"), "d4rl"),  # its reader misses the rewards
+    (("observations", "actions", "terminals"), "ogbench"),
+    ((*FLAT, "masks"), "ogbench"),
+    ((*FLAT, "qpos"), "ogbench"),
+    ((*FLAT, "masks", "next_observations"), "ogbench"),
+    (FLAT, "both"),
+    ((*FLAT, "timeouts", "masks"), "both"),
+    ((*FLAT, "infos/qpos", "qpos"), "both"),
+]
+
+
+@pytest.mark.parametrize(("first", "second"), list(itertools.combinations(MARKS, 2)))
+def test_what_only_one_layout_has_decides_and_two_such_things_are_refused(tmp_path, first, second):
+    path = tmp_path / "file.h5"
+    names = sorted({*MARKS[first], *MARKS[second]})
+    hdf5(path, *names)
+    layouts = {name.split(" ")[0] for name in (first, second)}
+    if len(layouts) == 1:
+        with pytest.raises(DatasetError, match="two layouts fit") if "rewards" in names else contextlib.nullcontext():
+            readers.detect(path)
+        return
+    with pytest.raises(DatasetError, match="file.h5: two layouts fit, ") as caught:
+        readers.detect(path)
+    assert all(f"{layout}'s (" in str(caught.value) for layout in layouts)
+
+
+@pytest.mark.parametrize(("names", "expected"), ARCHIVES)
+def test_an_archive_of_keys_that_d4rl_and_ogbench_share(tmp_path, names, expected):
+    save(tmp_path / "file.npz", **{name: np.zeros(3) for name in names})
+    if expected != "both":
+        assert readers.detect(tmp_path / "file.npz") == expected
+        return
+    with pytest.raises(DatasetError, match=r"two layouts fit, D4RL's .*OGBench's .*format=\"d4rl\", or format=\"ogben"):
+        readers.detect(tmp_path / "file.npz")
+
+
+def test_a_folder_of_two_layouts(tmp_path):
+    for name, inside in (("hdf5", "data/main_data.hdf5"), ("arrow", "data/0/part-0.arrow")):
+        for place in (inside, "meta/info.json", "data/metadata.json"):
+            (tmp_path / name / place).parent.mkdir(parents=True, exist_ok=True)
+            (tmp_path / name / place).write_text("{}")
+        with pytest.raises(DatasetError, match=r"two layouts fit, LeRobot's .meta/info.json. and Minari's"):
+            readers.detect(tmp_path / name)
 
 
 def test_own_files(tmp_path):
@@ -139,8 +199,9 @@ UNKNOWN = {
     "gzip": (lambda path: path.write_bytes(gzip.compress(b"a,b\n1,2\n")), "compressed with gzip; unpack it first"),
     "bzip2": (lambda path: path.write_bytes(bz2.compress(b"a,b\n1,2\n")), "compressed with bzip2; unpack it first"),
     "other hdf5": (lambda path: hdf5(path, "kernel", "bias"), r"nor d3rlpy's; the file has \['bias', 'kernel'\]"),
-    "other npz": (lambda path: save(path, kernel=np.zeros(3)), r"not in OGBench's .*\['kernel'\]"),
-    "zip": (lambda path: archive(path, "notes.txt", "hello"), r"not in OGBench's .*\['notes.txt'\]"),
+    "other npz": (lambda path: save(path, kernel=np.zeros(3)), r"neither in OGBench's .*\['kernel'\]"),
+    "zip": (lambda path: archive(path, "notes.txt", "hello"), r"neither in OGBench's .*\['notes.txt'\]"),
+    "excel": (lambda path: archive(path, "xl/workbook.xml", "<a/>"), "an Excel workbook; save its sheet as CSV"),
     "json": (lambda path: path.write_text('{"a": 1, "b": 2}'), "no known layout: .*first bytes"),
     "prose": (lambda path: path.write_text("Dear all\n"), "no known layout: .*first bytes"),
     "noise": (lambda path: path.write_bytes(bytes(range(255, 100, -1))), "no known layout: .*first bytes"),

@@ -196,6 +196,66 @@ def test_broken_episode_is_named(write, name):
         Dataset.load(path)
 
 
+def rewritten(path, change):
+    """Writes an Arrow file again with some of its columns changed by `change(name, column)`."""
+    pa = pytest.importorskip("pyarrow")
+    from pyarrow import ipc
+
+    with ipc.open_file(path.read_bytes()) as file:
+        table = file.read_all()
+    columns = {name: change(pa, name, table.column(name).combine_chunks()) for name in table.column_names}
+    changed = pa.table(columns)
+    with ipc.new_file(path, changed.schema) as file:
+        file.write_table(changed)
+
+
+def hidden(pa, array, row):
+    """The array without the value of a row."""
+    valid = np.arange(len(array)) != row
+    bits = pa.py_buffer(np.packbits(valid, bitorder="little").tobytes())
+    children = [array.values] if pa.types.is_fixed_size_list(array.type) else None
+    buffers = [bits] if children else [bits, array.buffers()[1]]
+    return pa.Array.from_buffers(array.type, len(array), buffers, children=children)
+
+
+def test_arrow_values_that_are_missing_are_missing(write):
+    path = write("arrow", nested=False)
+    table = path / "data" / "1" / "part-0.arrow"
+    sound = table.read_bytes()
+    for field, message in (
+        ("rewards", "field 'rewards' holds NaN or infinity in row 5 of 10"),
+        ("observations", "field 'observations' holds NaN or infinity in row 5 of 10"),
+        ("terminations", "field 'terminations' lacks a value in row 2 of 6, and bool has no NaN"),
+    ):
+        rewritten(table, lambda pa, name, array, field=field: hidden(pa, array, 2) if name == field else array)
+        with pytest.raises(DatasetError, match=message):
+            Dataset.load(path)
+        table.write_bytes(sound)
+
+
+def test_whole_numbers_keep_their_digits_or_are_left_out(write):
+    path = write("hdf5", nested=False)
+    big = 2**60 + np.arange(5)
+    with h5py.File(path / "data" / "main_data.hdf5", "r+") as file:
+        for number, steps in enumerate(LENGTHS):
+            file[f"episode_{number}/infos/stamp"] = 2**60 + np.arange(steps)
+            file[f"episode_{number}/infos/mixed"] = np.arange(steps, dtype=np.int64 if number else np.float64)
+            file[f"episode_{number}/infos/lit"] = np.arange(steps) == 0
+    dataset = Dataset.load(path)
+    assert dataset.infos["stamp"].dtype == np.int64 and dataset.infos["lit"].dtype == bool
+    np.testing.assert_array_equal(dataset.infos["stamp"][3:8], big)
+    assert "mixed" not in dataset.infos and "infos/mixed" in dataset.provenance["fields_not_read"]
+
+
+def test_episodes_in_both_containers_are_told_apart_by_the_metadata(write):
+    path = write("hdf5", nested=False)
+    (path / "data" / "0").mkdir()
+    assert len(Dataset.load(path)) == 10  # metadata.json says hdf5
+    change_metadata(path, data_format=None)
+    with pytest.raises(DatasetError, match=r"holds episodes in main_data.hdf5 and in folders .0, .*'data_format'"):
+        Dataset.load(path)
+
+
 def test_arrow_folder_with_a_missing_or_second_table(write):
     path = write("arrow", nested=False)
     table = path / "data" / "1" / "part-0.arrow"

@@ -48,6 +48,10 @@ def test_rewards_must_be_given(write, tmp_path):
         np.testing.assert_array_equal(Dataset.load(write(), reward=given).rewards, [0, 1, 2, 4, 5])
     with pytest.raises(DatasetError, match="reward has shape .6,.; give one number for each of 7 rows"):
         Dataset.load(write(), reward=rewards[1:])
+    hidden = np.ma.masked_array(np.arange(7), np.arange(7) == 4)
+    with pytest.raises(DatasetError, match="field 'rewards' holds NaN or infinity in row 4"):
+        Dataset.load(write(), reward=hidden)
+    assert not Dataset.load(write(), reward=0.0).rewards.any()
     with pytest.raises(DatasetError, match="none.npy: there is no such file"):
         Dataset.load(write(), reward=tmp_path / "none.npy")
     with pytest.raises(DatasetError, match="were both given"):
@@ -78,6 +82,16 @@ def test_relabelled_file_with_rewards_and_masks(write):
     np.testing.assert_array_equal(np.flatnonzero(dataset.terminated), [2])
     with pytest.raises(DatasetError, match="has its own 'rewards'; leave reward= and goal= out"):
         Dataset.load(path, reward="zero")
+
+
+def test_stored_successors_make_every_row_a_step(write):
+    successors, masks = np.arange(7.0)[:, None] * [1, 10] + 0.5, np.array([1, 1, 1, 0, 1, 1, 1.0])
+    dataset = Dataset.load(write(rewards=np.arange(7.0), masks=masks, next_observations=successors))
+    np.testing.assert_array_equal(dataset.next_observations, successors)
+    np.testing.assert_array_equal(np.flatnonzero(dataset.terminated), [3])
+    np.testing.assert_array_equal(np.flatnonzero(dataset.truncated), [6])
+    with pytest.raises(DatasetError, match="field 'valids' shows OGBench's compact form"):
+        Dataset.load(write(rewards=np.arange(7.0), masks=masks, valids=masks))
 
 
 WRONG = {

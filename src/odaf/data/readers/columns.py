@@ -3,13 +3,15 @@
 They hold no open file: slicing one opens the file, reads, and closes it again.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from odaf.data.log import Column
+from odaf.data.validation import any_in_row, name_rows
+from odaf.errors import DatasetError
 
 # Reads (number of the piece, first row, end) for each entry asked for, in that order.
 Reader = Callable[[Sequence[tuple[int, int, int]]], list[np.ndarray]]
@@ -57,7 +59,7 @@ class Pieces:
             if row == end:
                 break
         parts = self.read(wanted)
-        return parts[0] if len(parts) == 1 else np.concatenate(parts).astype(self.dtype, copy=False)
+        return (parts[0] if len(parts) == 1 else np.concatenate(parts)).astype(self.dtype, copy=False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,14 +96,24 @@ class Joined:
         return flat[0] if len(flat) == 1 else np.concatenate(flat, axis=1)
 
 
+def common_type(source: str, field: str, types: Iterable[Any]) -> Any:
+    """The type that holds the values of all pieces; `DatasetError` where whole numbers would lose digits in it."""
+    found = {np.dtype(each) for each in types}
+    common = np.result_type(*found)
+    wide = sorted(str(each) for each in found if each.kind in "iu" and each.itemsize > 4)
+    if common.kind == "f" and wide:
+        raise DatasetError(
+            f"{source}: field '{field}' holds {' and '.join(sorted(map(str, found)))} values in different pieces; "
+            f"whole numbers of {wide[0]} would lose digits beside the others: store all pieces in one type"
+        )
+    return common
+
+
 def sound_flags(source: str, field: str, array: np.ndarray) -> np.ndarray:
     """`array` itself; `DatasetError` where a damaged file put other bytes than 0 and 1 into flags.
 
     NumPy trusts that a bool is one byte of 0 or 1, and sums of other bytes come out wrong.
     """
-    from odaf.data.validation import any_in_row, name_rows
-    from odaf.errors import DatasetError
-
     if array.dtype == bool and array.size:
         odd = np.ascontiguousarray(array).view(np.uint8) > 1
         if odd.any():

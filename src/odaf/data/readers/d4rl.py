@@ -1,4 +1,4 @@
-"""Reader of the D4RL file layout: flat HDF5 arrays with `terminals` and, since version 1, `timeouts`."""
+"""Reader of the D4RL file layout: flat arrays with `terminals` and, since version 1, `timeouts`, in HDF5 or `.npz`."""
 
 import os
 from pathlib import Path
@@ -7,9 +7,10 @@ from typing import Any
 import h5py
 import numpy as np
 
-from odaf.data import storage, validation
+from odaf.data import validation
 from odaf.data.log import Column, Log
 from odaf.data.readers import hdf5
+from odaf.data.readers.d4rl_fields import Fields, Hdf5Fields, opened
 from odaf.errors import DatasetError
 
 REQUIRED = ("observations", "actions", "rewards", "terminals")
@@ -32,7 +33,8 @@ def read(
     Arrays under `infos` become infos; a stored policy is described in the provenance, see `behaviour_policy`.
 
     Args:
-        path: an HDF5 file.
+        path: an HDF5 file, or an `.npz` file with the same keys, as `numpy.savez` makes of a dictionary; the arrays of
+            the latter are held in memory.
         max_episode_steps: the environment's time limit. Needed where the file has no `timeouts`, or where these and
             `terminals` mark no row at all; refused elsewhere.
         action_bounds: lowest and highest action; [-1, 1] holds for the published locomotion and maze files.
@@ -45,22 +47,24 @@ def read(
     Raises:
         DatasetError: a field is missing or is no array of numbers, or the ends of episodes cannot be told.
     """
-    with storage.opened(path) as (file, source), storage.reading(source):
-        refuse_other_layouts(file, source)
-        for name in REQUIRED:
-            storage.require_field(file, source, name)
-        columns: dict[str, Column] = {name: hdf5.column(path, file, source, name) for name in _COLUMNS if name in file}
-        terminals = _flags(file, source, "terminals")
-        timeouts = _flags(file, source, "timeouts") if "timeouts" in file else None
+    with opened(path) as fields:
+        source = fields.source
+        if isinstance(fields, Hdf5Fields):
+            _refuse_other_layouts(fields.file, source)
+        columns: dict[str, Column] = {
+            name: fields.column(name) for name in _COLUMNS if name in REQUIRED or name in fields
+        }
+        terminals = _flags(fields, "terminals")
+        timeouts = _flags(fields, "timeouts") if "timeouts" in fields else None
         rows = len(terminals)
         if timeouts is not None and len(timeouts) != rows:
             raise DatasetError(
                 f"{source}: field 'timeouts' has {len(timeouts):,} rows, 'terminals' has {rows:,}; "
                 "every field needs one entry per step, so find where rows were lost or added"
             )
-        stored = hdf5.arrays_below(file, source)
-        infos, others = _infos(path, file, source, stored, rows)
-        provenance = {**_policy_facts(file, source, stored), "fields_not_read": others}
+        _refuse_other_ends(fields, terminals)
+        infos, others = _infos(fields, rows)
+        provenance = {**_policy_facts(fields), "fields_not_read": others}
     timeouts = _checked_timeouts(source, terminals, timeouts, max_episode_steps)
     provenance |= {"file": os.path.basename(source), "rows_in_file": rows, "d4rl_compat": d4rl_compat}
     if max_episode_steps is not None:
@@ -101,16 +105,17 @@ def behaviour_policy(path: str | os.PathLike[str]) -> dict[str, np.ndarray]:
     Raises:
         DatasetError: the file holds no policy.
     """
-    with storage.opened(path) as (file, source), storage.reading(source):
-        names = _policy_arrays(file, source, hdf5.arrays_below(file, source))
+    with opened(path) as fields:
+        names = _policy_arrays(fields)
         if not names:
             raise DatasetError(
-                f"{source}: holds no policy (no arrays under '{_POLICY}'); only D4RL's medium and expert files do"
+                f"{fields.source}: holds no policy (no arrays under '{_POLICY}'), as only D4RL's medium and expert "
+                "files do; give one of those"
             )
-        return {name.removeprefix(f"{_POLICY}/"): hdf5.whole(file, source, name) for name in names}
+        return {name.removeprefix(f"{_POLICY}/"): fields.whole(name) for name in names}
 
 
-def refuse_other_layouts(file: h5py.File, source: str) -> None:
+def _refuse_other_layouts(file: h5py.File, source: str) -> None:
     """Raises `DatasetError` where the file holds episodes as groups, or none of the layout's fields."""
     keys = hdf5.keys(file)
     if any(key.startswith("episode_") for key in keys):
@@ -125,8 +130,23 @@ def refuse_other_layouts(file: h5py.File, source: str) -> None:
         )
 
 
-def _flags(file: h5py.File, source: str, name: str) -> np.ndarray:
-    return validation.flags(source, name, hdf5.whole(file, source, name))
+def _flags(fields: Fields, name: str) -> np.ndarray:
+    return validation.flags(fields.source, name, fields.whole(name))
+
+
+def _refuse_other_ends(fields: Fields, terminals: np.ndarray) -> None:
+    """Raises where masks beside the flags say that `terminals` are ends of trajectories, as in OGBench's files."""
+    if "masks" not in fields:
+        return
+    goes_on = _flags(fields, "masks")
+    odd = terminals & goes_on if len(goes_on) == len(terminals) else np.ones(len(terminals), bool)
+    if odd.any():
+        raise DatasetError(
+            f"{fields.source}: field 'masks' says that the task goes on after {validation.name_rows(odd)}, where "
+            "'terminals' is set: two layouts fit, D4RL's, whose terminals end the task, and OGBench's, whose "
+            "terminals end a trajectory; remove 'masks' if the task ended there, or pass the arrays to "
+            "Dataset.from_arrays and say which rows are terminated and which truncated"
+        )
 
 
 def _checked_timeouts(
@@ -206,50 +226,41 @@ def _time_limits(terminals: np.ndarray, limit: int) -> np.ndarray:
     return timeouts & ~terminals
 
 
-def _infos(
-    path: Path, file: h5py.File, source: str, stored: list[str], rows: int
-) -> tuple[dict[str, Column], list[str]]:
+def _infos(fields: Fields, rows: int) -> tuple[dict[str, Column], list[str]]:
     """(arrays of numbers under `infos` with one entry per step, paths of all arrays that are left alone)."""
     infos: dict[str, Column] = {}
     others = []
-    for name in stored:
+    for name in fields.names:
         if name in (*_COLUMNS, "terminals", "timeouts"):
             continue
         if name.startswith("infos/"):
-            item = hdf5.dataset(file, source, name)
-            if item.dtype.kind in "biuf" and item.shape and len(item) == rows:
-                infos[name.removeprefix("infos/").replace("/", ".")] = hdf5.column(path, file, source, name)
+            kind, shape = fields.kind(name)
+            if kind in "biuf" and shape[:1] == (rows,):
+                infos[name.removeprefix("infos/").replace("/", ".")] = fields.column(name)
                 continue
         others.append(name)
     return infos, others
 
 
-def _policy_arrays(file: h5py.File, source: str, stored: list[str]) -> list[str]:
-    return [
-        name
-        for name in stored
-        if name.startswith(f"{_POLICY}/")
-        and (item := hdf5.dataset(file, source, name)).dtype.kind in "biuf"
-        and item.shape
-    ]
+def _policy_arrays(fields: Fields) -> list[str]:
+    names = [name for name in fields.names if name.startswith(f"{_POLICY}/")]
+    return [name for name in names if fields.kind(name)[0] in "biuf" and fields.kind(name)[1]]
 
 
-def _policy_facts(file: h5py.File, source: str, stored: list[str]) -> dict[str, Any]:
+def _policy_facts(fields: Fields) -> dict[str, Any]:
     """What `metadata` says of the run that recorded the file, in JSON types."""
     facts: dict[str, Any] = {}
     for name in ("algorithm", "iteration"):
-        if f"metadata/{name}" in stored:
-            facts[name] = hdf5.scalar(file, source, f"metadata/{name}")
-    arrays = _policy_arrays(file, source, stored)
+        if f"metadata/{name}" in fields.names:
+            facts[name] = fields.scalar(f"metadata/{name}")
+    arrays = _policy_arrays(fields)
     if arrays:
         policy: dict[str, Any] = {
-            "arrays": {
-                name.removeprefix(f"{_POLICY}/"): list(hdf5.dataset(file, source, name).shape) for name in arrays
-            }
+            "arrays": {name.removeprefix(f"{_POLICY}/"): list(fields.kind(name)[1]) for name in arrays}
         }
         for name in ("nonlinearity", "output_distribution"):
-            if f"{_POLICY}/{name}" in stored:
-                policy[name] = hdf5.scalar(file, source, f"{_POLICY}/{name}")
+            if f"{_POLICY}/{name}" in fields.names:
+                policy[name] = fields.scalar(f"{_POLICY}/{name}")
         facts["behaviour_policy"] = policy
     return facts
 

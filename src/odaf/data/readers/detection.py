@@ -2,7 +2,7 @@
 
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import h5py
@@ -14,6 +14,13 @@ from odaf.errors import DatasetError
 _UNPACK = ((b"\x1f\x8b", "gzip"), (b"BZh", "bzip2"), (b"\xfd7zXZ\x00", "xz"), (b"\x28\xb5\x2f\xfd", "zstd"))
 # Protocol 2 and later start with their number; 0 and 1 with the opcodes of a collection or of a class to import.
 _PICKLE = re.compile(rb"\x80[\x02-\x05]|\((?:[dlt]p?\d*\n|[dlt]q|i\w)|[\]}](?:q|p\d)|c[\w.]+\n[\w.]+\n")
+TITLES = {
+    "d4rl": "D4RL's",
+    "minari": "Minari's",
+    "ogbench": "OGBench's",
+    "d3rlpy": "d3rlpy's",
+    "lerobot": "LeRobot's",
+}
 _UNSAFE = (
     "loading it would run code from the file, so odaf does not. Load it where you trust it, and save the arrays with "
     "Dataset.from_arrays(...).save(...), as columns of a table, or with numpy.savez"
@@ -88,23 +95,49 @@ def _hdf5(path: Path) -> str:
             return "odaf"
         with storage.reading(source):
             keys = hdf5.keys(file)
-        groups = [key for key in keys if minari.EPISODE.fullmatch(key)]
-        flat = [name for name in d4rl.REQUIRED if name in keys]
-        if groups and not flat:
-            return "minari"
-        if {"columns", "num_episodes"} & set(keys) or "episode_terminals" in keys:
-            return "d3rlpy"
-        if groups:
-            raise DatasetError(
-                f"{source}: holds flat arrays ({', '.join(flat)}) and episodes as groups ({groups[0]}, ...); say which "
-                "to read with format="
-            )
-        if flat:
-            return "d4rl"
+        marks = _hdf5_marks(keys)
+        if len(marks) > 1:
+            spoken = [] if "minari" in marks else [f'give format="{name}"' for name in marks]
+            raise _two_fit(source, marks, *spoken, "write the one that counts into a file of its own")
+        if marks:
+            return next(iter(marks))
         raise DatasetError(
             f"{source}: neither an odaf dataset (no attribute 'format') nor in the D4RL layout (no fields "
             f"{', '.join(d4rl.REQUIRED)}), and neither Minari's nor d3rlpy's; the file has {hdf5.shown(keys)}"
         )
+
+
+def _hdf5_marks(keys: Sequence[str]) -> dict[str, str]:
+    """What only one layout has, by the layout's name."""
+    groups = [key for key in keys if minari.EPISODE.fullmatch(key)]
+    d3rlpy = [key for key in ("columns", "num_episodes", "episode_terminals", "discrete_action") if key in keys]
+    flat = [name for name in d4rl.REQUIRED if name in keys]
+    own = [name for name in ("timeouts", "infos", "metadata") if name in keys]
+    if {"columns", "num_episodes"} & set(d3rlpy):
+        own = own or flat  # d3rlpy's current files hold no flat arrays, its older ones the same as D4RL's
+    marks = {
+        "d4rl": f"flat arrays with {', '.join(own)}" if own and flat else "flat arrays" if flat and not d3rlpy else "",
+        "minari": f"episodes as groups ({groups[0]}, ...)" if groups else "",
+        "d3rlpy": ", ".join(d3rlpy),
+    }
+    return {name: mark for name, mark in marks.items() if mark}
+
+
+def _archive_marks(names: Sequence[str]) -> dict[str, str]:
+    """The same for arrays in an archive; those of D4RL and OGBench share most of their names."""
+    own = [name for name in names if name == "timeouts" or name.startswith(("infos/", "metadata/"))]
+    ogbench_own = [name for name in ("masks", "valids", "qpos", "qvel", "button_states") if name in names]
+    if "next_observations" in names and "rewards" in names and not ogbench_own:
+        own.append("next_observations")
+    if "rewards" not in names and not own:
+        ogbench_own.append("no rewards")
+    marks = {"d4rl": ", ".join(own[:3]), "ogbench": ", ".join(ogbench_own)}
+    return {name: mark for name, mark in marks.items() if mark}
+
+
+def _two_fit(source: str, marks: Mapping[str, str], *remedies: str) -> DatasetError:
+    found = " and ".join(f"{TITLES[name]} ({mark})" for name, mark in marks.items())
+    return DatasetError(f"{source}: two layouts fit, {found}", remedies=remedies)
 
 
 def _zip(path: Path, source: str) -> str:
@@ -114,22 +147,40 @@ def _zip(path: Path, source: str) -> str:
         raise DatasetError(f"{source}: an archive with a Python pickle ({pickles[0]}); {_UNSAFE}")
     arrays = [name.removesuffix(".npy") for name in names if name.endswith(".npy")]
     if any(name in arrays for name in ogbench.REQUIRED):
-        return "ogbench"
+        marks = _archive_marks(arrays)
+        if len(marks) == 1:
+            return next(iter(marks))
+        raise _two_fit(
+            source,
+            marks or {"d4rl": "whose terminals end the task", "ogbench": "whose terminals end a trajectory"},
+            'give format="d4rl"',
+            'format="ogbench"',
+            "pass the arrays to Dataset.from_arrays and say which rows are terminated and which truncated",
+        )
+    if "xl/workbook.xml" in names:
+        raise DatasetError(f"{source}: an Excel workbook; save its sheet as CSV and give that")
     raise DatasetError(
-        f"{source}: an archive that is not in OGBench's layout (no fields {', '.join(ogbench.REQUIRED)}); it has "
+        f"{source}: an archive that is neither in OGBench's layout nor in D4RL's (no fields "
+        f"{', '.join(ogbench.REQUIRED)}); it has "
         f"{hdf5.shown(arrays or names)}: load it with numpy.load and pass the arrays to Dataset.from_arrays"
     )
 
 
 def _folder(path: Path, source: str) -> str:
-    if (path / "meta" / "info.json").is_file():
-        return "lerobot"
     data = minari.data_folder(path)
+    numbered = any(entry.name.isdigit() for entry in data.iterdir() if entry.is_dir())
+    marks = {}
+    if (path / "meta" / "info.json").is_file():
+        marks["lerobot"] = "meta/info.json"
     if (data / minari.MAIN_FILE).is_file():
-        return "minari"
+        marks["minari"] = minari.MAIN_FILE
+    elif (data / "metadata.json").is_file() and numbered:
+        marks["minari"] = "metadata.json and folders 0, 1, ..."
+    if len(marks) > 1:
+        raise _two_fit(source, marks, 'give format="lerobot"', 'format="minari"', "move one into a folder of its own")
+    if marks:
+        return next(iter(marks))
     entries = sorted(entry.name for entry in path.iterdir())
-    if (data / "metadata.json").is_file() and any(entry.name.isdigit() for entry in data.iterdir() if entry.is_dir()):
-        return "minari"
     raise DatasetError(
         f"{source}: is a folder of no known layout: neither Minari's (data/{minari.MAIN_FILE} or data/metadata.json "
         f"with folders 0, 1, ...) nor LeRobot's (meta/info.json); it has {hdf5.shown(entries)}: name the file inside it"

@@ -8,6 +8,7 @@ import functools
 import math
 import os
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 import h5py
 import numpy as np
@@ -15,7 +16,8 @@ import numpy as np
 from odaf.data import storage
 from odaf.data.log import Column
 from odaf.data.readers import text_heap
-from odaf.data.readers.columns import Pieces, sound_flags
+from odaf.data.readers.columns import Pieces, common_type, sound_flags
+from odaf.data.validation import any_in_row, name_rows
 from odaf.errors import DatasetError
 
 # gzip packs at most 1,032 bytes into one. Small files may say what they like: the harm is small too.
@@ -59,12 +61,18 @@ def numbers(file: h5py.File, source: str, name: str) -> h5py.Dataset:
         raise DatasetError(f"{source}: field '{name}' holds {kind}, not real numbers; convert the column to float32")
     if not found.shape:
         raise DatasetError(f"{source}: field '{name}' is one number, expected one entry per step")
+    if _number_beside(found, "scale_factor", 1.0) != 1.0 or _number_beside(found, "add_offset", 0.0) != 0.0:
+        raise DatasetError(
+            f"{source}: field '{name}' holds packed numbers, to be multiplied by its attribute 'scale_factor' and "
+            "added to 'add_offset'; unpack them where the file was made, for instance with xarray, and store the result"
+        )
     return found
 
 
 def whole(file: h5py.File, source: str, name: str) -> np.ndarray:
     """All rows of an array of numbers."""
-    return sound_flags(source, name, np.asarray(numbers(file, source, name)[()]))
+    found = numbers(file, source, name)
+    return _with_gaps(source, name, found, sound_flags(source, name, np.asarray(found[()])))
 
 
 def scalar(file: h5py.File, source: str, name: str) -> str | int | float | bool:
@@ -121,7 +129,7 @@ def pieces(
         functools.partial(_read, os.fspath(path), tuple(names)),
         np.array([len(item) for item in found] if lengths is None else lengths, np.int64),
         shape,
-        np.result_type(*{item.dtype for item in found}),
+        common_type(source, names[0], (item.dtype for item in found)),
         skip,
     )
 
@@ -157,8 +165,40 @@ def _read(path: str, names: tuple[str, ...], wanted: Sequence[tuple[int, int, in
             item = numbers(file, source, names[piece])
             if len(item) < end:
                 raise DatasetError(f"{source}: field '{names[piece]}' became shorter while it was read; read it again")
-            parts.append(sound_flags(source, names[piece], np.asarray(item[first:end])))
+            part = sound_flags(source, names[piece], np.asarray(item[first:end]))
+            parts.append(_with_gaps(source, names[piece], item, part, first))
         return parts
+
+
+def _number_beside(item: h5py.Dataset, name: str, default: float) -> Any:
+    """A single number among an array's attributes."""
+    if name not in item.attrs:
+        return default
+    kind = item.attrs.get_id(name)
+    if kind.dtype.kind not in "biuf" or math.prod(kind.shape) != 1:
+        return default
+    return np.asarray(item.attrs[name]).reshape(-1)[0]
+
+
+def _with_gaps(source: str, name: str, item: h5py.Dataset, array: np.ndarray, first: int = 0) -> np.ndarray:
+    """The array with NaN where the file says that nothing was written, as netCDF's attributes do.
+
+    Raises:
+        DatasetError: there are such places among whole numbers or flags, which have no NaN.
+    """
+    for attribute in ("_FillValue", "missing_value"):
+        fill = _number_beside(item, attribute, math.nan)
+        gaps = array == fill
+        if not gaps.any():
+            continue
+        if array.dtype.kind != "f":
+            rows = range(first, first + len(gaps)) if gaps.ndim else None
+            raise DatasetError(
+                f"{source}: field '{name}' lacks a value in {name_rows(any_in_row(np.atleast_1d(gaps)), rows)}, "
+                f"where it holds {fill}, its attribute '{attribute}'; store numbers with NaN, or leave out these rows"
+            )
+        array = np.where(gaps, np.asarray(np.nan, array.dtype), array)
+    return array
 
 
 def _refuse_impossible_size(file: h5py.File, source: str, name: str, item: h5py.Dataset) -> None:

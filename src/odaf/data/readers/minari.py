@@ -69,7 +69,7 @@ def read(
     source = os.fspath(path)
     folder = data_folder(path)
     metadata = _metadata(folder / "metadata.json", source)
-    episodes = _episodes(folder, source)
+    episodes = _episodes(folder, source, metadata)
     leaves = episodes.leaves()
     observed = _chosen(source, metadata, leaves, "observations", observations)
     acted = _chosen(source, metadata, leaves, "actions", actions)
@@ -110,8 +110,16 @@ def data_folder(path: Path) -> Path:
     return path / "data" if (path / "data").is_dir() else path
 
 
-def _episodes(folder: Path, source: str) -> Episodes:
-    if (folder / MAIN_FILE).is_file():
+def _episodes(folder: Path, source: str, metadata: Mapping[str, Any]) -> Episodes:
+    written = metadata.get("data_format")
+    inside = sorted(folder.iterdir()) if folder.is_dir() else ()
+    arrow = [entry.name for entry in inside if entry.is_dir() and entry.name.isdigit()]
+    if (folder / MAIN_FILE).is_file() and not (arrow and written in ("arrow", "parquet")):
+        if arrow and written != "hdf5":
+            raise DatasetError(
+                f"{source}: holds episodes in {MAIN_FILE} and in folders ({arrow[0]}, ...), and metadata.json does not "
+                "say in 'data_format' which of them count; move one of the two elsewhere"
+            )
         return Hdf5Episodes(folder / MAIN_FILE)
     from odaf.data.readers.minari_arrow import ArrowEpisodes
 

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from odaf.data.readers.columns import Pieces
+from odaf.data.readers.columns import Pieces, common_type
+from odaf.data.validation import any_in_row, name_rows
 from odaf.errors import DatasetError
 
 _SUFFIXES = (".arrow", ".parquet")
@@ -47,7 +48,8 @@ class ArrowEpisodes:
                     "every episode must describe the same quantities"
                 )
         lengths = np.array([max(shape[0] - padding, 0) for shape in shapes], np.int64)
-        return Pieces(functools.partial(_read, self._paths, leaf), lengths, shapes[0][1:], np.result_type(*kinds))
+        kind = common_type(self._source, leaf, kinds)
+        return Pieces(functools.partial(_read, self._paths, leaf), lengths, shapes[0][1:], kind)
 
 
 def episode_files(folder: Path, source: str) -> dict[int, Path]:
@@ -129,25 +131,44 @@ def _leaf(path: Path, leaf: str) -> np.ndarray:
     column = table.column(name)
     column.validate(full=True)  # before anything follows an offset that the file claims
     values = column.chunk(0) if column.num_chunks == 1 else pa.concat_arrays(column.chunks)
+    gaps = _gaps(values)
     for entry in entries:
         index = values.type.get_field_index(entry) if pa.types.is_struct(values.type) else -1
         if index < 0:
             raise DatasetError(f"{path}: field '{leaf}' is missing in this episode; copy or record it again")
-        values = values.flatten()[index]
+        values = values.field(index)
+        gaps = gaps | _gaps(values)
     shape: tuple[int, ...] = (len(values),)
     while pa.types.is_fixed_size_list(values.type):
-        if values.null_count:
-            break
-        shape = (*shape, values.type.list_size)
-        values = values.flatten()
-    if values.null_count or not (
-        pa.types.is_integer(values.type) or pa.types.is_floating(values.type) or pa.types.is_boolean(values.type)
-    ):
+        size, start = values.type.list_size, values.offset
+        shape = (*shape, size)
+        values = values.values.slice(start * size, len(values) * size)
+        gaps = np.repeat(gaps, size) | _gaps(values)
+    if not (pa.types.is_integer(values.type) or pa.types.is_floating(values.type) or pa.types.is_boolean(values.type)):
         raise DatasetError(
-            f"{path}: field '{leaf}' holds {values.type} values with {values.null_count} gaps, expected numbers; "
-            "odaf learns from vectors of numbers"
+            f"{path}: field '{leaf}' holds {values.type} values, expected numbers; odaf learns from vectors of numbers"
         )
-    return np.asarray(values.to_numpy(zero_copy_only=False)).reshape(shape)
+    return _with_gaps(path, leaf, values, gaps, shape)
+
+
+def _gaps(values: Any) -> np.ndarray:
+    """[values] bool: where nothing was written."""
+    return np.asarray(values.is_null().to_numpy(zero_copy_only=False), bool)
+
+
+def _with_gaps(path: Path, leaf: str, values: Any, gaps: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    """The numbers with NaN where there are none; flags and whole numbers, which have no NaN, are refused there."""
+    if not gaps.any():
+        return np.asarray(values.to_numpy(zero_copy_only=False)).reshape(shape)
+    nothing = False if str(values.type) == "bool" else 0
+    numbers = np.asarray(values.fill_null(nothing).to_numpy(zero_copy_only=False)).reshape(shape)
+    gaps = gaps.reshape(shape)
+    if numbers.dtype.kind != "f":
+        raise DatasetError(
+            f"{path}: field '{leaf}' lacks a value in {name_rows(any_in_row(gaps))}, and {values.type} has no NaN to "
+            "say so; record the episode again, or leave it out"
+        )
+    return np.where(gaps, np.asarray(np.nan, numbers.dtype), numbers)
 
 
 def _read(paths: tuple[Path, ...], leaf: str, wanted: Sequence[tuple[int, int, int]]) -> list[np.ndarray]:

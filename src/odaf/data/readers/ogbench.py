@@ -13,7 +13,7 @@ from odaf.data.readers import numpy_files
 from odaf.errors import DatasetError
 
 REQUIRED = ("observations", "actions", "terminals")
-_READ = (*REQUIRED, "rewards", "masks")
+_READ = (*REQUIRED, "rewards", "masks", "next_observations")
 
 
 def read(
@@ -27,8 +27,10 @@ def read(
     """The log in an OGBench file, in memory.
 
     `terminals` mark the last stored row of a trajectory, which is there for its observation only: it has no successor,
-    so the trajectory counts as truncated and the dataset drops that row. Rewards are not in these files: one of
-    `reward` and `goal` has to say what they are. Other arrays with one entry per row become infos.
+    so the trajectory counts as truncated and the dataset drops that row. Where the file stores `next_observations`, as
+    one of loaded arrays does, every row is a step and none is dropped. `masks` of 0 end the task. The published files
+    hold no rewards: one of `reward` and `goal` has to say what they are. Other arrays with one entry per row become
+    infos.
 
     Args:
         path: an `.npz` file.
@@ -67,17 +69,23 @@ def read(
                 f"{source}: field '{name}' has shape {arrays[name].shape}, 'terminals' has {rows:,} rows; "
                 "every field needs one entry per step"
             )
+    if "valids" in arrays:
+        raise DatasetError(
+            f"{source}: field 'valids' shows OGBench's compact form, whose 'terminals' mark other rows; save the "
+            "arrays with compact_dataset off, or give the file that OGBench provides"
+        )
     findings: list[dict[str, Any]] = []
     terminated = np.zeros(rows, bool)
+    no_step = last if "next_observations" not in arrays else np.zeros(rows, bool)  # rows that are no step
     if "masks" in arrays:
-        terminated = ~validation.flags(source, "masks", arrays["masks"]) & ~last
+        terminated = ~validation.flags(source, "masks", arrays["masks"]) & ~no_step
     if "rewards" in arrays:
         if reward is not None or goal is not None:
             raise DatasetError(f"{source}: has its own 'rewards'; leave reward= and goal= out")
         rewards = arrays["rewards"]
     elif goal is not None and reward is None:
         reached = _reached(source, arrays.get("qpos"), goal, goal_radius)
-        rewards, terminated = reached.astype(np.float32) - 1, reached & ~last
+        rewards, terminated = reached.astype(np.float32) - 1, reached & ~no_step
         findings.append(
             {
                 "finding": "rewards-from-goal",
@@ -94,9 +102,11 @@ def read(
         "actions": arrays["actions"],
         "rewards": rewards,
         "terminated": terminated,
-        "truncated": last,
+        "truncated": last & ~terminated,
         "episode": np.cumsum(ends, dtype=np.int64) - ends,
     }
+    if "next_observations" in arrays:
+        columns["next_observations"] = arrays["next_observations"]
     others = {name: array for name, array in arrays.items() if name not in _READ}
     infos: dict[str, Column] = {
         name: array for name, array in others.items() if array.dtype.kind in "biuf" and array.shape[:1] == (rows,)
@@ -143,6 +153,8 @@ def _given_rewards(
     if isinstance(reward, (int, float)) or (isinstance(reward, str) and reward == "zero"):
         return np.full(rows, 0.0 if isinstance(reward, str) else reward, np.float32)
     values = reward if isinstance(reward, np.ndarray) else numpy_files.read_single(reward)
+    if isinstance(values, np.ma.MaskedArray):
+        values = values.astype(np.float64).filled(np.nan)  # to be counted as missing
     if values.shape not in ((rows,), (rows, 1)):
         raise DatasetError(f"{source}: reward has shape {values.shape}; give one number for each of {rows:,} rows")
     return values
