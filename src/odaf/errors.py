@@ -47,6 +47,10 @@ class OdafError(Exception):
         return f"{message}; {', or '.join(remedies)}" if remedies else message
 
 
+class OdafWarning(UserWarning):
+    """Something that odaf goes on with, and that the user should know; the command line prints its message alone."""
+
+
 class DatasetError(OdafError):
     """Logged data that cannot be used as it is: the message names file, field, first rows and remedy."""
 

@@ -62,6 +62,10 @@ class GenerateOptions:
     """Locomotion only: rows to record; without it, 100,000."""
     version: Annotated[Literal["v4", "v5"] | None, tyro.conf.arg(metavar="v4|v5")] = None
     """Locomotion only: environment version; without it, v4, near which scores were published."""
+    contact_margins: Annotated[Literal["added", "larger"] | None, tyro.conf.arg(metavar="RULE")] = None
+    """How MuJoCo counts the contact margins of two parts that touch: `added`, as it does from 3.5.0 on, or `larger`, as
+    before, which makes Hopper and the point mazes the older bodies; without it, as the
+    installed one does."""
     exact: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     """medium-replay only: train a policy from scratch in this directory, which takes hours, and keep its true replay
     buffer; a run that is there is gone on with."""
@@ -130,6 +134,9 @@ def info(arguments: list[str]) -> None:
 
 def describe(summary: Mapping[str, Any]) -> str:
     """A data set's summary for people."""
+    from odaf.data.readers.minari_environment import shown
+    from odaf.environments.contact_margins import in_words, recorded
+
     provenance = summary["provenance"]
     environment = provenance.get("environment")
     facts = {
@@ -143,7 +150,9 @@ def describe(summary: Mapping[str, Any]) -> str:
         f"best episode {number(summary['best_mean_reward'], 4)}, worst {number(summary['worst_mean_reward'], 4)}",
         "ends": f"{summary['terminal_share']:.1%} of the episodes terminated, the others were cut",
         "observations": ", ".join(summary["observation_names"]),
-        "environment": "unknown" if environment is None else environment.get("id", environment["name"]),
+        "environment": "unknown" if environment is None else shown(environment),
+        **({"recorded in": shown(provenance["recorded_environment"])} if "recorded_environment" in provenance else {}),
+        "simulator": in_words(recorded(provenance)) or "not recorded",
         "source": provenance.get("generator") or provenance.get("file") or "unknown",
     }
     if isinstance(provenance.get("mixture"), Mapping):
@@ -186,7 +195,7 @@ def _maze_data(options: GenerateOptions) -> "Dataset":
     config = _config(options.maze or "stitch")
     if options.repeats is not None:
         config = config.with_repeats(options.repeats)
-    return stitch_data.generate(config, options.seed)
+    return stitch_data.generate(config, options.seed, options.contact_margins)
 
 
 def _locomotion_data(options: GenerateOptions) -> "Dataset":
@@ -198,6 +207,8 @@ def _locomotion_data(options: GenerateOptions) -> "Dataset":
 
     version, progress = options.version or "v4", default_progress(True)
     if options.exact is not None:
+        if options.contact_margins is not None:
+            raise ConfigError("--contact-margins: a training run is recorded in the installed simulator; leave it out")
         if options.transitions is not None:
             raise ConfigError("--transitions: the buffer of a training run is as long as its training; leave it out")
 
@@ -209,7 +220,7 @@ def _locomotion_data(options: GenerateOptions) -> "Dataset":
     from odaf.environments.locomotion_data import generate
 
     transitions = 100_000 if options.transitions is None else options.transitions
-    return generate(options.name, transitions, options.seed, version, progress)
+    return generate(options.name, transitions, options.seed, version, progress, contact_margins=options.contact_margins)
 
 
 def _map_file(options: GenerateOptions) -> Path | None:

@@ -10,12 +10,14 @@ import difflib
 import os
 import sys
 import traceback
+import warnings
 from dataclasses import dataclass
 from importlib import import_module
+from typing import Any
 
 from odaf import __version__
 from odaf.cli import spelling
-from odaf.errors import OdafError
+from odaf.errors import OdafError, OdafWarning
 
 EXIT_MISTAKE = 2
 EXIT_INTERRUPTED = 130
@@ -120,8 +122,17 @@ def run_guarded(command: Command, arguments: list[str], debug: bool) -> int:
         debug: show the traceback of a mistake too.
     """
     name = f"odaf {command.name}"
+    shown = warnings.showwarning
+
+    def show(message: Warning | str, category: type[Warning], *place: Any, **options: Any) -> None:
+        if issubclass(category, OdafWarning):
+            print(f"{name}: warning: {spelling.spelled(str(message))}", file=sys.stderr)
+        else:
+            shown(message, category, *place, **options)
+
     try:
         run = getattr(import_module(command.module), command.function)
+        warnings.showwarning = show
         code = int(run(arguments) or 0)
         sys.stdout.flush()
         return code
@@ -137,6 +148,8 @@ def run_guarded(command: Command, arguments: list[str], debug: bool) -> int:
         if debug:
             traceback.print_exc()
         return complain(name, describe(mistake) if isinstance(mistake, OSError) else spelling.explained(mistake))
+    finally:
+        warnings.showwarning = shown
 
 
 def describe(error: OSError) -> str:

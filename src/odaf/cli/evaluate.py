@@ -47,6 +47,9 @@ class EvaluateOptions:
     """Checkpoint to take, by its number of updates; without it, the last."""
     env: Annotated[str | None, tyro.conf.arg(metavar="ID")] = None
     """Gymnasium id of the environment; without it, the run's own."""
+    contact_margins: Annotated[Literal["added", "larger"] | None, tyro.conf.arg(metavar="RULE")] = None
+    """How MuJoCo counts the contact margins of two parts that touch: `added`, as it does from 3.5.0 on, or `larger`, as
+    before, which makes Hopper and the point mazes the older bodies; without it, as the run did."""
     json: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """File to write the scores to."""
     attack: Annotated[Attack | None, tyro.conf.arg(metavar="NAME")] = None
@@ -109,7 +112,8 @@ def _refuse(options: EvaluateOptions, fields: tuple[str, ...], wanted: str) -> N
 
 def _where(options: EvaluateOptions, episodes: int) -> dict[str, Any]:
     chosen = episodes if options.episodes is None else options.episodes
-    return {"episodes": chosen, "seed": options.seed, "step": options.step, "environment": options.env}
+    rule = {"contact_margins": options.contact_margins}
+    return {"episodes": chosen, "seed": options.seed, "step": options.step, "environment": options.env, **rule}
 
 
 def _in_peace(options: EvaluateOptions) -> None:

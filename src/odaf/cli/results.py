@@ -65,7 +65,15 @@ def score_table(scores: "Scores") -> str:
         ]
         for score in scores.by_seed
     ]
-    return table(header, rows)
+    return f"{table(header, rows)}{played_in(scores)}"
+
+
+def played_in(scores: "Scores") -> str:
+    """A line on what played the episodes; empty where it is not known."""
+    from odaf.environments.contact_margins import in_words
+
+    words = in_words(scores.simulator)
+    return f"\n\nplayed in {words}" if words else ""
 
 
 def estimated(estimate: "Estimate") -> str:
@@ -87,7 +95,7 @@ def attack_table(curve: "AttackCurve") -> str:
         entries = [*([normalised[place]] if normalised else []), curve.returns[place]]
         cells = [cell for entry in entries for cell in (number(entry.mean), _interval(entry))]
         rows.append([f"{budget:g}", *cells, *(number(scores[place].rate(rate), 2) for rate in rates)])
-    text = table([*header, *(_words(rate) for rate in rates)], rows)
+    text = table([*header, *(_words(rate) for rate in rates)], rows) + played_in(scores[0])
     if area is None:
         return text
     text += f"\n\narea under the curve, divided by its width: {estimated(area)}"
@@ -106,6 +114,8 @@ def print_run(run: "Run") -> None:
     print(run_table(summaries))
     if len(summaries) > 1 and all(summary.get("evaluation") for summary in summaries.values()):
         print(f"\n{run.scores()}")
+    if all(summary.get("evaluation") for summary in summaries.values()):
+        print(played_in(run.scores()).lstrip("\n"))
     for seed, summary in summaries.items():
         for warning in summary["warnings"]:
             print(f"\nwarning, seed {seed}: {warning['message']}")

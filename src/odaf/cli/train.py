@@ -43,6 +43,10 @@ class RunOptions:
     """Episodes in each evaluation."""
     env: Annotated[str | None, tyro.conf.arg(metavar="ID")] = None
     """Gymnasium id of the environment to evaluate in; without it, the one that the data set names."""
+    contact_margins: Annotated[Literal["added", "larger"] | None, tyro.conf.arg(metavar="RULE")] = None
+    """How MuJoCo counts the contact margins of two parts that touch: `added`, as it does from 3.5.0 on, or `larger`, as
+    before, which makes Hopper and the point mazes the older bodies; without it, as the data set says or the
+    installed one does."""
     checkpoint_every: int = 5_000
     """Updates between two checkpoints."""
     on_divergence: Literal["warn", "stop"] = "warn"
@@ -111,7 +115,12 @@ def _evaluation(options: RunOptions, dataset: "Dataset") -> "Rollouts | None":
             f"{options.data} names no environment and no --env was given: policies are not evaluated", file=sys.stderr
         )
         return None
-    return Rollouts(options.env, episodes=options.episodes, every=options.evaluate_every)
+    return Rollouts(
+        options.env,
+        episodes=options.episodes,
+        every=options.evaluate_every,
+        contact_margins=options.contact_margins,
+    )
 
 
 def _options(preset: str, algorithm: Any) -> type:

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from odaf.environments.contact_margins import ContactMargins, apply
 from odaf.environments.gymnasium_environment import make_quietly
 from odaf.errors import ConfigError
 
@@ -65,7 +66,16 @@ class Simulator:
     Observations are float64. `step` reports true ends only; the time limit (1,000 steps) is the caller's to keep.
     """
 
-    def __init__(self, task: Task, version: str = "v4"):
+    def __init__(self, task: Task, version: str = "v4", contact_margins: ContactMargins | None = None):
+        """
+        Args:
+            task: which body.
+            version: of the environment.
+            contact_margins: how the margins of two geoms that touch are counted; None is as the installed MuJoCo does.
+
+        Raises:
+            ConfigError: there is no simulator, or no such rule.
+        """
         self.task = task
         self.environment_id = task.environment_id(version)
         try:
@@ -77,6 +87,7 @@ class Simulator:
             ) from error
         self._mujoco: Any = mujoco
         self._environment: Any = make_quietly(self.environment_id, disable_env_checker=True).unwrapped
+        apply(self._environment, contact_margins, self.environment_id)
         self._signature = self._mujoco.mjtState.mjSTATE_INTEGRATION
         self._model, self._data = self._environment.model, self._environment.data
 

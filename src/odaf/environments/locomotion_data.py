@@ -13,6 +13,7 @@ import numpy as np
 
 from odaf.data.dataset import Dataset
 from odaf.data.rows import COLUMNS
+from odaf.environments.contact_margins import ContactMargins
 from odaf.environments.gaussian_policy import GaussianPolicy
 from odaf.environments.locomotion import TASKS, Simulator, Task, task_of
 from odaf.environments.locomotion_acceptance import acceptance_of, findings_of, statistics_of
@@ -32,6 +33,7 @@ def generate(
     version: str = "v4",
     progress: ProgressReport | None = None,
     policies: ShippedPolicies | None = None,
+    contact_margins: ContactMargins | None = None,
 ) -> Dataset:
     """Records the set called `name`; one seed gives the same bits on the same machine and versions.
 
@@ -46,6 +48,8 @@ def generate(
         version: of the environment; published scores belong to one near v4.
         progress: hears how many rows are recorded.
         policies: what acts; None takes the shipped ones.
+        contact_margins: how the simulator counts them, see `odaf.environments.contact_margins`; None is as the
+            installed one does. What is given is recorded.
 
     Raises:
         ConfigError: the name or version is not known, or the policy it needs is not there.
@@ -59,7 +63,7 @@ def generate(
     progress = progress or Silent()
     progress.start(name, transitions, unit="rows")
     largest = max(phase.steps for phases in parts.values() for phase in phases)
-    simulators = [Simulator(task, version) for _ in range(slots_for(largest))]
+    simulators = [Simulator(task, version, contact_margins) for _ in range(slots_for(largest))]
     streams = iter(np.random.SeedSequence(seed).spawn(sum(map(len, parts.values()))))
     pieces: dict[str, dict[str, np.ndarray]] = {}
     done = 0
@@ -80,6 +84,8 @@ def generate(
         pieces[part] = _joined(recordings)
     progress.close()
     versions = {package: version_of(package) for package in ("gymnasium", "mujoco", "numpy")}
+    if contact_margins is not None:
+        versions["contact_margins"] = contact_margins
     facts = {
         "generator": "odaf.environments.locomotion_data",
         "seed": seed,
@@ -104,6 +110,9 @@ def judged(
     figures = {part: statistics_of(piece, task, version) for part, piece in pieces.items()}
     acceptance = acceptance_of(task, kind, figures)
     columns: dict[str, Any] = _joined(list(pieces.values()))
+    environment = {"name": "gymnasium", "id": task.environment_id(version), "kwargs": {}}
+    if rule := facts.get("versions", {}).get("contact_margins"):
+        environment["contact_margins"] = rule
     statistics = statistics_of(columns, task, version)
     if len(figures) > 1:
         statistics["parts"] = figures
@@ -114,7 +123,7 @@ def judged(
         provenance={
             "name": name,
             "origin": "locally generated data",
-            "environment": {"name": "gymnasium", "id": task.environment_id(version), "kwargs": {}},
+            "environment": environment,
             **facts,
             "statistics": statistics,
             "acceptance": acceptance,

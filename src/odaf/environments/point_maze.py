@@ -12,6 +12,7 @@ import gymnasium
 import mujoco
 import numpy as np
 
+from odaf.environments.contact_margins import ContactMargins, set_rule
 from odaf.environments.maze import Cell, Maze
 
 with contextlib.redirect_stderr(io.StringIO()):  # the package prints a notice about environments we do not use
@@ -50,10 +51,10 @@ class PointMaze(gymnasium.Env):
 
     metadata = {"render_modes": []}  # noqa: RUF012 (Gymnasium's own declaration)
 
-    def __init__(self, maze: Maze | Mapping[str, Any], steps: int = 200):
+    def __init__(self, maze: Maze | Mapping[str, Any], steps: int = 200, contact_margins: ContactMargins | None = None):
         self.maze = maze if isinstance(maze, Maze) else Maze.from_dict(maze)
         self.steps = steps
-        self._model = _compiled(self.maze.rows)
+        self._model = _compiled(self.maze.rows, contact_margins)
         self._data = _MjData(self._model)
         # Views of the simulator's memory, valid for its life.
         self._position, self._velocity, self._force = self._data.qpos, self._data.qvel, self._data.ctrl
@@ -122,12 +123,13 @@ class PointMaze(gymnasium.Env):
 
 
 @functools.lru_cache(maxsize=16)
-def _compiled(rows: tuple[str, ...]) -> Any:
+def _compiled(rows: tuple[str, ...], rule: ContactMargins | None = None) -> Any:
     """The simulator's model of a map; compiling draws textures nobody looks at and takes far longer than an episode."""
     environment = PointMazeEnv(maze_map=[[int(character) for character in row] for row in rows])
     Path(environment.tmp_xml_file_path).unlink(missing_ok=True)  # loaded; the package leaves it behind
     model = environment.model
     environment.close()
+    set_rule(model, rule)
     return model
 
 

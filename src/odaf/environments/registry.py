@@ -1,10 +1,14 @@
 """From a dataset's description of its environment to the environment itself."""
 
+import contextlib
+import io
 import sys
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
-from odaf.environments.gymnasium_environment import make_quietly
+from odaf.environments import contact_margins as margins
+from odaf.environments.contact_margins import ContactMargins
+from odaf.environments.gymnasium_environment import check_wrappers, make_described
 from odaf.environments.maze import Maze
 from odaf.errors import ConfigError
 
@@ -16,36 +20,50 @@ if TYPE_CHECKING:
 _EXTRA = 'pip install "odaf[envs]"'
 
 
-def make(environment: Mapping[str, Any]) -> "Callable[[], gymnasium.Env]":
+def make(
+    environment: Mapping[str, Any], contact_margins: ContactMargins | None = None
+) -> "Callable[[], gymnasium.Env]":
     """A function without arguments that builds a fresh environment at each call.
 
     Args:
         environment: `{"name": "pointmaze", "maze": {...}, "steps": 200}` or
-            `{"name": "gymnasium", "id": "Hopper-v4", "kwargs": {}}`; JSON types, as found in `Dataset.environment`.
+            `{"name": "gymnasium", "id": "Hopper-v4", "kwargs": {}}`; JSON types, as found in `Dataset.environment`. The
+            latter may say `max_episode_steps` (null: no limit) where the id's own does not hold, and `wrappers`, the
+            innermost first, each `{"name": "RescaleAction", "kwargs": {...}}`; both may say `contact_margins`.
+        contact_margins: how MuJoCo counts the margins of geoms that touch, see `odaf.environments.contact_margins`;
+            in the place of what `environment` says. None leaves it to that, and it to the installed MuJoCo.
 
     Raises:
         ConfigError: the description is incomplete or names something unknown, or the simulator is not installed.
     """
     name = environment.get("name")
+    if contact_margins is not None:
+        environment = {**environment, "contact_margins": contact_margins}
+    rule = margins.check(environment.get("contact_margins"))
     if name == "pointmaze":
-        _expect(environment, required={"name", "maze"}, optional={"steps"})
+        _expect(environment, required={"name", "maze"}, optional={"steps", "contact_margins"})
         maze, steps = Maze.from_dict(environment["maze"]), int(environment.get("steps", 200))
         if steps < 1:
             raise ConfigError(f"environment 'pointmaze': steps is {steps}; give the time limit, 1 or more")
         build = _point_maze_class()
-        return lambda: build(maze, steps)
+        return lambda: build(maze, steps, rule)
     if name == "gymnasium":
-        _expect(environment, required={"name", "id"}, optional={"kwargs"})
-        identity, kwargs = environment["id"], dict(environment.get("kwargs") or {})
+        extras = {"kwargs", "max_episode_steps", "wrappers", "contact_margins"}
+        _expect(environment, required={"name", "id"}, optional=extras)
+        identity = environment["id"]
+        check_wrappers(identity, environment.get("wrappers", ()))
         try:
             import gymnasium
         except ImportError as error:
             raise ConfigError(f"environment '{identity}' needs gymnasium ({error}); {_EXTRA}") from error
         try:
-            gymnasium.spec(identity)
+            _registered(identity)
         except gymnasium.error.Error as error:
-            raise ConfigError(f"environment '{identity}': gymnasium does not know it ({error})") from error
-        return lambda: make_quietly(identity, **kwargs)
+            raise ConfigError(
+                f"environment '{identity}': gymnasium does not know it ({error}); check the name, or import the "
+                "package that registers it"
+            ) from error
+        return lambda: make_described(environment)
     raise ConfigError(f"environment: name is {name!r}; known are 'pointmaze' and 'gymnasium'")
 
 
@@ -59,16 +77,47 @@ def make_untimed(environment: Mapping[str, Any]) -> "tuple[Callable[[], gymnasiu
         return make({**environment, "steps": sys.maxsize}), int(environment.get("steps", 200))
     kwargs = dict(environment.get("kwargs") or {})
     own = kwargs.pop("max_episode_steps", None)
-    build = make({**environment, "kwargs": {**kwargs, "max_episode_steps": -1}})
+    own = environment.get("max_episode_steps", own)
+    build = make({**environment, "kwargs": kwargs, "max_episode_steps": None})
     import gymnasium
 
-    limit = gymnasium.spec(environment["id"]).max_episode_steps if own is None else int(own)
+    said = own is not None or "max_episode_steps" in environment
+    limit = own if said else gymnasium.spec(environment["id"]).max_episode_steps
     return build, limit if limit is not None and limit > 0 else None
 
 
-def point_maze(maze: Maze, steps: int) -> "PointMaze":
+def simulator_in(environment: Mapping[str, Any]) -> dict[str, Any] | None:
+    """What simulates the environment of a description, see `odaf.environments.contact_margins.simulator_of`."""
+    made = make(environment)()
+    try:
+        return margins.simulator_of(made, environment.get("contact_margins"))
+    finally:
+        made.close()
+
+
+def point_maze(maze: Maze, steps: int, rule: ContactMargins | None = None) -> "PointMaze":
     """One point maze; `ConfigError` names the extra to install where the simulator is missing."""
-    return _point_maze_class()(maze, steps)
+    return _point_maze_class()(maze, steps, rule)
+
+
+def _registered(identity: str) -> None:
+    """Raises gymnasium's error where neither it nor gymnasium-robotics knows an environment."""
+    import gymnasium
+
+    try:
+        gymnasium.spec(identity)
+    except gymnasium.error.Error:
+        if "gymnasium_robotics" in sys.modules:
+            raise
+        try:
+            with contextlib.redirect_stderr(io.StringIO()):  # a notice about environments that nobody asked for
+                import gymnasium_robotics
+        except ImportError:
+            gymnasium_robotics = None
+        if gymnasium_robotics is None:
+            raise
+        gymnasium.register_envs(gymnasium_robotics)
+        gymnasium.spec(identity)
 
 
 def _point_maze_class() -> "type[PointMaze]":

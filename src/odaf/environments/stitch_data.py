@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from odaf.data.dataset import Dataset
+from odaf.environments.contact_margins import ContactMargins
 from odaf.environments.controller import WaypointController
 from odaf.environments.maze import Cell, Maze
 from odaf.environments.registry import point_maze
@@ -32,15 +33,19 @@ REACHED_SPEED = 0.5
 ENVIRONMENT_SEEDS = 1000  # episodes start from a seed below this, so start and target noise repeat
 
 
-def generate(config: StitchConfig = CONFIGS["stitch"], seed: int = 0) -> Dataset:
+def generate(
+    config: StitchConfig = CONFIGS["stitch"], seed: int = 0, contact_margins: ContactMargins | None = None
+) -> Dataset:
     """Drives every route of `config` and logs it; one seed gives the same bits on the same machine and versions.
 
     `provenance` of the result holds the configuration, the seed, the simulator's versions, the environment's
     description, the returns of the whole log and of each route under "statistics", and whether they lie within
     `config.accept` under "acceptance"; each figure that does not is also a finding. The limits are statistical: the
-    best of some hundred episodes misses its limits for some seeds.
+    best of some hundred episodes misses its limits for some seeds. `contact_margins` says how the simulator counts
+    them, see `odaf.environments.contact_margins`; what is given is recorded.
     """
-    environment = point_maze(config.maze, config.steps)
+    environment = point_maze(config.maze, config.steps, contact_margins)
+    rule = {} if contact_margins is None else {"contact_margins": contact_margins}
     logs, owners = [], []
     for index, (route, stream) in enumerate(
         zip(config.routes, np.random.SeedSequence(seed).spawn(len(config.routes)), strict=True)
@@ -70,8 +75,8 @@ def generate(config: StitchConfig = CONFIGS["stitch"], seed: int = 0) -> Dataset
             "generator": "odaf.environments.stitch_data",
             "seed": seed,
             "config": config.to_dict(),
-            "environment": {"name": "pointmaze", "maze": config.maze.to_dict(), "steps": config.steps},
-            "versions": {name: version(name) for name in ("gymnasium", "gymnasium-robotics", "mujoco", "numpy")},
+            "environment": {"name": "pointmaze", "maze": config.maze.to_dict(), "steps": config.steps} | rule,
+            "versions": {name: version(name) for name in ("gymnasium", "gymnasium-robotics", "mujoco", "numpy")} | rule,
             "statistics": statistics,
             "acceptance": acceptance,
             "findings": _acceptance_findings(acceptance),

@@ -7,6 +7,7 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
+from odaf.environments.contact_margins import ContactMargins, check, simulator_of
 from odaf.environments.start_seeds import EVALUATION_SEED_OFFSET, MOST_EPISODES
 from odaf.errors import ConfigError
 from odaf.training.evaluator import Evaluation
@@ -196,6 +197,8 @@ class Rollouts:
         every: updates between two evaluations; the last update is always followed by one.
         seed: chooses starts; the same for every method and checkpoint, so that they can be compared in pairs.
         max_steps: cuts episodes that the environment does not end itself.
+        contact_margins: how MuJoCo counts the margins of geoms that touch, "added" or "larger"; None leaves it to the
+            environment's description, and it to the installed MuJoCo. See `odaf.environments.contact_margins`.
     """
 
     environment: str | Mapping[str, Any] | None = None
@@ -203,8 +206,10 @@ class Rollouts:
     every: int = 5000
     seed: int = 0
     max_steps: int | None = None
+    contact_margins: ContactMargins | None = None
 
     def __post_init__(self):
+        check(self.contact_margins)
         _check(self.episodes, self.seed, self.max_steps)
         if self.every < 1:
             raise ConfigError(f"every: must be at least 1, got {self.every}")
@@ -223,7 +228,8 @@ class Rollouts:
             )
         if isinstance(environment, str):
             environment = {"name": "gymnasium", "id": environment, "kwargs": {}}
-        return replace(self, environment=dict(environment))
+        rule = {} if self.contact_margins is None else {"contact_margins": self.contact_margins}
+        return replace(self, environment={**environment, **rule}, contact_margins=None)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain JSON types; `from_dict` restores an equal object."""
@@ -235,6 +241,7 @@ class Rollouts:
             "every": self.every,
             "seed": self.seed,
             "max_steps": self.max_steps,
+            **({} if self.contact_margins is None else {"contact_margins": self.contact_margins}),
         }
 
     @classmethod
@@ -260,7 +267,17 @@ class RolloutEvaluator:
             self._environments = [self._make_env() for _ in range(self.rollouts.episodes)]
         found = rollout_in(policy, self._environments, self.rollouts.seed, self.rollouts.max_steps)
         found.save(directory / "evaluations" / f"{step:08d}.npz")
-        return summarise(found)
+        evaluation = summarise(found)
+        simulator = simulator_of(self._environments[0], self.contact_margins)
+        if simulator is None:
+            return evaluation
+        return replace(evaluation, summary={**evaluation.summary, "simulator": simulator})
+
+    @property
+    def contact_margins(self) -> ContactMargins | None:
+        """The rule that the environment's description asks for."""
+        environment = self.rollouts.environment
+        return environment.get("contact_margins") if isinstance(environment, Mapping) else None
 
     def to_dict(self) -> dict[str, Any]:
         return self.rollouts.to_dict()

@@ -37,10 +37,12 @@ class Scores:
     Attributes:
         by_seed: one entry a seed.
         environment: Gymnasium's name of where they were played, if it has one.
+        simulator: what played them, as `odaf.environments.contact_margins.simulator_of` says; None where none is known.
     """
 
     by_seed: tuple[SeedScore, ...]
     environment: str | None = None
+    simulator: Mapping[str, Any] | None = None
 
     def estimate(self, confidence: float = 0.95) -> Estimate:
         """Mean over seeds of their mean returns, spread over seeds, and Student's interval."""
@@ -76,6 +78,7 @@ class Scores:
         normalised = self.normalised
         return {
             **({} if normalised is None else {"normalised": normalised}),
+            **({} if self.simulator is None else {"simulator": dict(self.simulator)}),
             "mean_return": estimate.mean,
             "std_return": estimate.std,
             "interval": [estimate.low, estimate.high],
@@ -102,7 +105,10 @@ def scores_from(summaries: Mapping[int, Mapping[str, Any]], where: str, environm
             f"{where}: no evaluation of seeds {', '.join(map(str, missing))} yet; "
             "train with evaluation, go on with `odaf resume`, or measure checkpoints with `odaf evaluate`"
         )
-    return Scores(tuple(_score(seed, summary["evaluation"]) for seed, summary in summaries.items()), environment)
+    simulators = [summary["evaluation"].get("simulator") for summary in summaries.values()]
+    alike = simulators[0] if all(simulator == simulators[0] for simulator in simulators) else None
+    scores = tuple(_score(seed, summary["evaluation"]) for seed, summary in summaries.items())
+    return Scores(scores, environment, alike)
 
 
 def _score(seed: int, evaluation: Mapping[str, Any]) -> SeedScore:

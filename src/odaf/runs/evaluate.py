@@ -2,11 +2,13 @@
 
 import os
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from odaf.environments.registry import make
+from odaf.environments.contact_margins import ContactMargins, recorded, warn_if_other
+from odaf.environments.registry import make, simulator_in
 from odaf.errors import ConfigError
 from odaf.evaluation.rollouts import Episodes, Rollouts, rollout, summarise
 from odaf.evaluation.scores import Scores, scores_from
@@ -30,7 +32,14 @@ class Trial:
 
     @classmethod
     def of(
-        cls, directory: str | os.PathLike[str], *, episodes: int, seed: int, step: int | None, environment: str | None
+        cls,
+        directory: str | os.PathLike[str],
+        *,
+        episodes: int,
+        seed: int,
+        step: int | None,
+        environment: str | None,
+        contact_margins: ContactMargins | None = None,
     ) -> "Trial":
         """See `evaluate` for the arguments and what is raised."""
         run = RunDirectory(Path(directory))
@@ -42,7 +51,9 @@ class Trial:
                 "give one, as --env Hopper-v5"
             )
         rollouts = Rollouts(environment, episodes=episodes, seed=seed, max_steps=settings.get("max_steps"))
-        return cls(run, rollouts.resolved(known), step)
+        trial = cls(run, replace(rollouts, contact_margins=contact_margins).resolved(known), step)
+        warn_if_other(recorded(run.data["summary"]["provenance"]), trial.simulator)
+        return trial
 
     @property
     def environment(self) -> Mapping[str, Any]:
@@ -55,6 +66,11 @@ class Trial:
         """Gymnasium's name of the environment, if it has one."""
         return self.environment.get("id")
 
+    @cached_property
+    def simulator(self) -> dict[str, Any] | None:
+        """What plays the episodes, as `odaf.environments.contact_margins.simulator_of` says."""
+        return simulator_in(self.environment)
+
     def policies(self) -> Iterator[tuple[int, Policy]]:
         """Every training seed with what it had learned."""
         for seed in self.run.seeds:
@@ -63,7 +79,13 @@ class Trial:
     def scores(self, played: Mapping[int, Episodes]) -> Scores:
         """Scores of every seed from the episodes that its policy played."""
         summaries = {
-            seed: {"evaluation": {"step": self.run.checkpoint(seed, self.step).step, **summarise(episodes).summary}}
+            seed: {
+                "evaluation": {
+                    "step": self.run.checkpoint(seed, self.step).step,
+                    **summarise(episodes).summary,
+                    "simulator": self.simulator,
+                }
+            }
             for seed, episodes in played.items()
         }
         return scores_from(summaries, str(self.run.path), self.environment_id)
@@ -76,6 +98,7 @@ def evaluate(
     seed: int = 0,
     step: int | None = None,
     environment: str | None = None,
+    contact_margins: ContactMargins | None = None,
 ) -> Scores:
     """Play episodes with one checkpoint of every seed of a run; nothing in its directory changes.
 
@@ -85,12 +108,16 @@ def evaluate(
         seed: chooses the starts, the same for every seed of the run.
         step: the checkpoint after so many updates; None takes each seed's last.
         environment: a gymnasium id; None takes the environment that the run was evaluated in, else its data set's.
+        contact_margins: how MuJoCo counts the margins of geoms that touch, "added" or "larger"; None is as the
+            environment's description says, or else as the installed MuJoCo does.
 
     Raises:
         CheckpointError: there is no run, no such checkpoint, or a damaged one.
         ConfigError: no environment is known, or a number is out of range.
     """
-    trial = Trial.of(directory, episodes=episodes, seed=seed, step=step, environment=environment)
+    trial = Trial.of(
+        directory, episodes=episodes, seed=seed, step=step, environment=environment, contact_margins=contact_margins
+    )
     make_env = make(trial.environment)
     played = {
         policy_seed: rollout(policy, make_env, episodes, seed, trial.rollouts.max_steps)

@@ -11,6 +11,7 @@ from typing import Any
 import jax.random as jr
 import numpy as np
 
+from odaf.environments.contact_margins import ContactMargins
 from odaf.environments.reference_returns import reference_of
 from odaf.environments.registry import make
 from odaf.errors import ConfigError
@@ -113,6 +114,7 @@ def attack_curve(
     step: int | None = None,
     environment: str | None = None,
     attacker: str | os.PathLike[str] | None = None,
+    contact_margins: ContactMargins | None = None,
 ) -> AttackCurve:
     """Play episodes with every seed of a run at every budget; nothing in its directory changes.
 
@@ -128,6 +130,7 @@ def attack_curve(
         seed: chooses the starts and the draws.
         step: the checkpoint after so many updates; None takes each seed's last.
         environment: a gymnasium id; None takes the run's own.
+        contact_margins: as in `odaf.evaluate`.
         attacker: directory of the run whose critics are asked, at the last checkpoint of its first seed; None asks each
             policy's own.
 
@@ -144,7 +147,9 @@ def attack_curve(
         raise ConfigError(f"eps: must be one or more numbers from 0, got {list(budgets)}; for instance 0 0.1 0.2")
     if len(set(ascending)) < len(ascending):
         raise ConfigError(f"eps: {list(budgets)} holds a budget twice; give each once")
-    trial = Trial.of(directory, episodes=episodes, seed=seed, step=step, environment=environment)
+    trial = Trial.of(
+        directory, episodes=episodes, seed=seed, step=step, environment=environment, contact_margins=contact_margins
+    )
     policies = dict(trial.policies())
     judges: dict[int, Judge | None] = dict.fromkeys(policies)
     if attacker is not None:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from odaf.data.dataset import Dataset
+from odaf.environments.contact_margins import ContactMargins
 from odaf.environments.knocks import Knock, Knocked, UnusualStart
 from odaf.environments.reference_returns import reference_of
 from odaf.environments.registry import make_untimed
@@ -96,6 +97,7 @@ def knock_scores(
     seed: int = 0,
     step: int | None = None,
     environment: str | None = None,
+    contact_margins: ContactMargins | None = None,
 ) -> KnockScores:
     """Play episodes with every seed of a run while something puts the policy off; nothing in its directory changes.
 
@@ -112,6 +114,7 @@ def knock_scores(
         seed: chooses the starts, knocks and noise.
         step: the checkpoint after so many updates; None takes each seed's last.
         environment: a gymnasium id; None takes the run's own.
+        contact_margins: as in `odaf.evaluate`.
 
     Raises:
         CheckpointError: as `odaf.evaluate`.
@@ -119,7 +122,9 @@ def knock_scores(
             environment cannot be changed.
         DatasetError: `data` is given and is not what the run was trained on.
     """
-    trial = Trial.of(directory, episodes=episodes, seed=seed, step=step, environment=environment)
+    trial = Trial.of(
+        directory, episodes=episodes, seed=seed, step=step, environment=environment, contact_margins=contact_margins
+    )
     build, limit = make_untimed(trial.environment)
     counted = trial.rollouts.max_steps or limit or COUNTED_STEPS
     ground, reason = None, ""

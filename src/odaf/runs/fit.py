@@ -8,6 +8,8 @@ from typing import Any
 from odaf import training
 from odaf.algorithms.base import Algorithm
 from odaf.data.dataset import Dataset
+from odaf.environments.contact_margins import recorded, warn_if_other
+from odaf.environments.registry import simulator_in
 from odaf.evaluation.rollouts import Rollouts
 from odaf.evaluation.runs import Run
 from odaf.runs.side_by_side import evaluator_of, side_by_side
@@ -56,7 +58,12 @@ def fit(
     """
     if not isinstance(dataset, Dataset):
         data_path, dataset = dataset, Dataset.load(dataset)
-    evaluator = None if evaluate is None else evaluator_of(evaluate.resolved(dataset.environment))
+    evaluator = None
+    if evaluate is not None:
+        rollouts = evaluate.resolved(dataset.environment)
+        assert isinstance(rollouts.environment, Mapping)
+        evaluator = evaluator_of(rollouts)
+        warn_if_other(recorded(dataset.provenance), simulator_in(rollouts.environment))
     try:
         files = training.fit(
             algorithm,

@@ -128,8 +128,9 @@ def _observations(
         return {"observations": hdf5.pieces(path, file, source, [f"observations_{index}" for index in range(count)])}
     if not chosen or any(entry not in entries for entry in chosen):
         raise DatasetError(
-            f"{source}: each observation is a tuple of {len(entries)} arrays; name those to join into one vector, for "
-            f"instance observations={entries}" + ("" if chosen is None else f"; got {list(chosen)}")
+            f"{source}: each observation is a tuple of {len(entries)} arrays"
+            + ("" if chosen is None else f", of which {list(chosen)} was asked for"),
+            remedies=[f"name those to join into one vector, for instance observations={entries}"],
         )
     return {
         f"observations {entry}": hdf5.pieces(

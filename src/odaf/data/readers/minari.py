@@ -14,13 +14,12 @@ from odaf.data import storage, validation
 from odaf.data.log import Column, Log
 from odaf.data.readers import hdf5
 from odaf.data.readers.columns import Joined, Pieces
+from odaf.data.readers.minari_environment import environments_of, json_object
 from odaf.errors import DatasetError
 
 MAIN_FILE = "main_data.hdf5"
 EPISODE = re.compile(r"episode_(0|[1-9]\d{0,17})")
 _FACTS = ("dataset_id", "total_episodes", "total_steps", "algorithm_name", "minari_version", "env_spec")
-# An id with a module in front ("module:Name-v0") would have that module imported when the environment is made.
-_ENVIRONMENT_ID = re.compile(r"[\w./-]+")
 
 
 @runtime_checkable
@@ -88,6 +87,7 @@ def read(
         "episode": np.repeat(np.array(episodes.ids, np.int64), steps),
     }
     infos, others = _infos(episodes, leaves, steps)
+    named, findings = environments_of(metadata)
     read_leaves = {"rewards", *ends, *observed, *acted}
     return Log(
         columns=columns,
@@ -98,8 +98,9 @@ def read(
         action_bounds=_bounds(metadata, acted, done) if action_bounds is None else action_bounds,
         infos=infos,
         provenance=_provenance(path, metadata)
+        | named
         | {"fields_not_read": sorted({leaf for leaf in leaves if leaf not in read_leaves} - set(others))},
-        findings=_missing_episodes(metadata, len(episodes.ids)),
+        findings=(*_missing_episodes(metadata, len(episodes.ids)), *findings),
     )
 
 
@@ -171,8 +172,9 @@ def _chosen(
         chosen = [field]
     elif not entries or isinstance(entries, str) or any(entry not in known for entry in entries):
         raise DatasetError(
-            f"{source}: field '{field}' has the entries {known}; name those to join into one vector, for instance "
-            f"{field}={known}" + ("" if entries is None else f"; got {entries!r}")
+            f"{source}: field '{field}' has the entries {known}"
+            + ("" if entries is None else f", and {entries!r} was asked for"),
+            remedies=[f"name those to join into one vector, for instance {field}={known}"],
         )
     else:
         chosen = [f"{field}/{entry}" for entry in entries]
@@ -243,7 +245,7 @@ def _metadata(path: Path, source: str) -> dict[str, Any]:
 def _space(metadata: Mapping[str, Any], leaf: str) -> Mapping[str, Any]:
     """The description of the space an array comes from; empty where the metadata has none."""
     field, *entries = leaf.split("/")
-    space = _json_object(metadata.get({"observations": "observation_space", "actions": "action_space"}[field]))
+    space = json_object(metadata.get({"observations": "observation_space", "actions": "action_space"}[field]))
     for entry in entries:
         below = space.get("subspaces")
         if isinstance(below, list):
@@ -270,26 +272,11 @@ def _bounds(metadata: Mapping[str, Any], leaves: list[str], columns: Sequence[Pi
 
 
 def _provenance(path: Path, metadata: Mapping[str, Any]) -> dict[str, Any]:
-    facts = {name: metadata[name] for name in _FACTS if isinstance(metadata.get(name), (str, int))}
-    provenance: dict[str, Any] = {"file": path.name, "minari": facts}
-    spec = _json_object(metadata.get("env_spec"))
-    identity, kwargs = spec.get("id"), spec.get("kwargs")
-    if isinstance(identity, str) and _ENVIRONMENT_ID.fullmatch(identity):
-        provenance["environment"] = {
-            "name": "gymnasium",
-            "id": identity,
-            "kwargs": kwargs if isinstance(kwargs, dict) else {},
-        }
-    return provenance
-
-
-def _json_object(text: Any) -> dict[str, Any]:
-    """What a JSON text describes, empty where it is no object; nothing but descriptions depends on it."""
-    try:
-        value = json.loads(text) if isinstance(text, str) else text
-    except (ValueError, RecursionError):
-        return {}
-    return value if isinstance(value, dict) else {}
+    facts: dict[str, Any] = {name: metadata[name] for name in _FACTS if isinstance(metadata.get(name), (str, int))}
+    needed = metadata.get("requirements")
+    if isinstance(needed, list) and needed and all(isinstance(entry, str) for entry in needed):
+        facts["requirements"] = needed
+    return {"file": path.name, "minari": facts}
 
 
 def _missing_episodes(metadata: Mapping[str, Any], found: int) -> tuple[dict[str, Any], ...]:

@@ -154,7 +154,7 @@ def _given_rewards(
         return np.full(rows, 0.0 if isinstance(reward, str) else reward, np.float32)
     values = reward if isinstance(reward, np.ndarray) else numpy_files.read_single(reward)
     if isinstance(values, np.ma.MaskedArray):
-        values = values.astype(np.float64).filled(np.nan)  # to be counted as missing
+        values = np.ma.filled(values.astype(np.float64), np.nan)  # to be counted as missing
     if values.shape not in ((rows,), (rows, 1)):
         raise DatasetError(f"{source}: reward has shape {values.shape}; give one number for each of {rows:,} rows")
     return values
