@@ -5,7 +5,6 @@ import resource
 import signal
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -186,28 +185,6 @@ def test_long_commands_say_that_they_can_be_repeated(
         raise KeyboardInterrupt
 
     monkeypatch.setattr("odaf.studies.demo.run", interrupted)
-    monkeypatch.setattr("odaf.studies.pointmaze.run", interrupted)
+    monkeypatch.setattr("odaf.studies.perform.perform", interrupted)
     assert main([command, *(["pointmaze"] if command == "reproduce" else [])]) == 130
     assert "repeat the command to go on" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("words", "given"),
-    [
-        (["locomotion", "--only", "edac", "sac-n", "--phase", "2"], {"only": ("edac", "sac-n"), "phase": (2,)}),
-        (["outcome", "--phase", "1", "3", "--workers", "2"], {"phase": (1, 3), "workers": 2}),
-    ],
-)
-def test_a_part_of_a_study_reaches_it(words: list[str], given: dict[str, object], monkeypatch: pytest.MonkeyPatch):
-    calls = []
-    monkeypatch.setattr(f"odaf.studies.{words[0]}.run", lambda out, **options: calls.append((out, options)))
-    assert main(["reproduce", *words]) == 0
-    ((out, options),) = calls
-    assert out == Path("results") / words[0]
-    assert options == {"workers": 1, **given}
-
-
-@pytest.mark.parametrize("words", [["pointmaze", "--phase", "1"], ["outcome", "--only", "odaf"]])
-def test_a_part_of_a_study_that_has_none_is_refused(words: list[str], capsys: pytest.CaptureFixture[str]):
-    assert main(["reproduce", *words]) == 2
-    assert f"{words[1]}: belongs to locomotion" in capsys.readouterr().err

@@ -164,3 +164,54 @@ def test_options_as_the_reader_takes_them(given: dict, expected: dict):
 def test_options_that_make_no_sense(given: dict):
     with pytest.raises(ConfigError, match="--(action-bounds|units|reward|episode): "):
         ReaderOptions(**given).for_reader()
+
+
+def test_accepting_what_cannot_be_held_is_refused_before_anything_is_read(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    table = tmp_path / "log.csv"
+    table.write_text("no table at all")
+    words = ["data", "import", str(table), "--out", str(tmp_path / "log.h5"), "--accept", "not-finite", *ROLES]
+    assert main(words) == 2
+    said = capsys.readouterr().err
+    assert "not-finite: no data set can hold such rows" in said and "--on-missing break does so" in said
+
+
+def test_a_log_as_historians_write_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    """Units under the headings, words for missing values, decimal commas; reward and error are computed."""
+    lines = ["sep=;", "Schicht;Zeit;Füllstand;Sollwert;valve", "-;s;m;m;%"]
+    for row in range(40):
+        level = "Bad" if row == 7 else "No Data" if row == 25 else f"{row / 4:.2f}".replace(".", ",")
+        lines.append(f"{row // 20},0;{row % 20 / 2:.1f}".replace(".", ",") + f";{level};3,5;{row % 11},5")
+    (tmp_path / "log.csv").write_text("\n".join([*lines, ""]), encoding="utf-8")
+    roles = ["--observations", "Füllstand", "--observation", "Fehler = Füllstand - Sollwert", "--actions", "valve"]
+    roles += ["--reward", "1 - abs(Füllstand - Sollwert)", "--episode", "Schicht", "--time", "Zeit", "--lags", "1"]
+    dialect = ["--units-row", "--decimal-comma", "--missing-values", "Bad, no data"]
+    words = ["data", "import", str(tmp_path / "log.csv"), "--out", str(tmp_path / "log.h5"), *roles, *dialect]
+    assert main(words) == 2
+    said = capsys.readouterr().err
+    assert "column 'Füllstand' has no value (empty or NaN) in 2 of 40 rows, the first of them 11, 29" in said
+    assert "--on-missing break" in said
+    assert main([*words, "--on-missing", "break"]) == 0
+    dataset = Dataset.load(tmp_path / "log.h5")
+    names = ("Füllstand", "Fehler", "Füllstand_lag1", "Fehler_lag1", "valve_lag1")
+    assert dataset.observation_names == names and dataset.observation_units == ("m", "", "m", "", "%")
+    assert (
+        dataset.num_episodes == 4 and len(dataset) == 40 - 2 - 2 * 4
+    )  # the first row has no history, the last no successor
+    np.testing.assert_allclose(dataset.rewards, 1.0 - np.abs(dataset.observations[:, 1]))
+    np.testing.assert_array_equal(dataset.observations[1, [2, 4]], [0.25, 1.5])
+
+
+def test_remedies_of_tables_can_be_typed(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    """Each message names an option; with it, the next message is another one, until the log is read."""
+    path = tmp_path / "log.csv"
+    lines = ["e;x;a;r", "-;m;-;EUR", *(f"{i // 10};{'Bad' if i == 5 else f'{i},5'};{i % 3},5;1" for i in range(20))]
+    path.write_text("\n".join(lines), encoding="utf-8")
+    words = ["--observations", "x", "--actions", "a", "--reward", "r", "--episode", "e"]
+    for named in (["--units-row"], ["--decimal-comma"], ["--missing-values", "Bad"], ["--on-missing", "break"]):
+        assert main(["data", "import", str(path), "--out", str(tmp_path / "log.h5"), *words]) == 2
+        said = capsys.readouterr().err
+        assert " ".join(named) in said, said
+        words += named
+    assert main(["data", "import", str(path), "--out", str(tmp_path / "log.h5"), *words]) == 0

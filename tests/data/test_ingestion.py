@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 
 from data.checks import healthy
+from data.checks.test_every_check import SPOILED, spoiled
 from odaf.data import Dataset
-from odaf.data.ingestion import ingest
-from odaf.errors import DatasetError
+from odaf.data.checks import check_log
+from odaf.data.ingestion import NEVER_HELD, ingest
+from odaf.errors import ConfigError, DatasetError
 
 
 def test_the_report_is_stored_with_the_data(tmp_path):
@@ -31,8 +33,21 @@ def test_errors_are_refused_unless_accepted():
     assert dataset.provenance["validation"]["accepted"] == ["actions-discrete"]
 
 
-def test_what_cannot_be_held_is_refused_even_if_accepted():
+def test_what_cannot_be_held_cannot_be_accepted():
     missing = healthy.columns()["rewards"]
     missing[3] = np.nan
-    with pytest.raises(DatasetError, match="NaN or infinity"):
-        ingest(healthy.log({"rewards": missing}), accept=["not-finite"])
+    with pytest.raises(ConfigError, match='accept: not-finite: no data set can hold such rows.*on_missing="break"'):
+        ingest(healthy.log({"rewards": missing}), accept=["actions-discrete", "not-finite"])
+
+
+@pytest.mark.parametrize("name", SPOILED)
+def test_errors_that_may_be_accepted_are_those_that_a_data_set_can_hold(name: str):
+    log = spoiled(name)
+    errors = {finding.check for finding in check_log(log).of("error")}
+    if errors and not errors & set(NEVER_HELD):
+        assert isinstance(ingest(log, accept=sorted(errors))[0], Dataset)
+    for check in errors & set(NEVER_HELD):
+        with pytest.raises((DatasetError, TypeError)):
+            Dataset.from_log(log)
+        with pytest.raises(ConfigError, match=check):
+            ingest(log, accept=[check])

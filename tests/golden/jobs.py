@@ -1,6 +1,7 @@
 """Jobs that a fresh process can import, for the tests of worker processes."""
 
 import os
+import time
 
 from odaf.runs.workers import tell
 
@@ -19,6 +20,11 @@ def halve(number: int) -> int:
     for part in ("half of", number):
         tell((number, part))
     return number // 2
+
+
+def sleep(seconds: float) -> float:
+    time.sleep(seconds)
+    return seconds
 
 
 def process(_: int) -> int:

@@ -65,6 +65,22 @@ def test_single_job_runs_apart_when_it_has_to() -> None:
     assert next(run_jobs(jobs.process, [0], 2, always_apart=True))[1] != os.getpid()
 
 
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_finished_job_may_bring_further_ones(workers: int) -> None:
+    def then(job: int, result: int) -> list[int]:
+        assert result == math.factorial(job)
+        return [job - 1] if job > 1 else []
+
+    assert sorted(job for job, _ in run_jobs(math.factorial, [3], workers, then=then)) == [1, 2, 3]
+
+
+def test_what_still_runs_at_the_end_of_the_time_is_stopped() -> None:
+    began = time.monotonic()
+    jobs_ = [0.0, 60.0, 61.0]  # the last one waits for the only worker
+    assert list(run_jobs(jobs.sleep, jobs_, 1, until=began + 3.0)) == [(0.0, 0.0)]
+    assert time.monotonic() - began < 20.0
+
+
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT])
 def test_workers_end_when_their_parent_is_killed_or_interrupted(tmp_path: Path, how: signal.Signals) -> None:
     (tmp_path / "parent.py").write_text(PARENT)

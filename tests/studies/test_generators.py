@@ -1,44 +1,37 @@
-"""The generators' study: it records what has policies, says what has not, and repeats nothing."""
+"""The generators' study: it records what has policies, says what has not, and knows the policies of its records."""
 
-import json
+from pathlib import Path
 
 import pytest
 
 from odaf.environments.locomotion_data import NAMES
 from odaf.errors import ConfigError
 from odaf.studies import generators as generators_study
+from odaf.studies import logs
+from odaf.studies.generators import Recording
+from odaf.studies.ledger import Ledger
+from odaf.training.progress import Silent
 
 
-@pytest.fixture
-def small(monkeypatch):
-    """Only two random sets of a few rows; no task has policies."""
-
-    def nothing(task):
-        raise ConfigError("none")
-
-    monkeypatch.setattr(generators_study, "TRANSITIONS", 300)
-    monkeypatch.setattr(generators_study, "shipped", nothing)
-    monkeypatch.setattr(generators_study, "NAMES", ("hopper-random", "hopper-medium", "walker2d-random"))
-
-
-def test_it_records_tables_and_does_not_repeat(small, tmp_path, capsys):
-    generators_study.run(tmp_path)
-    assert "2 of 3 sets to record" in capsys.readouterr().err
-    record = json.loads((tmp_path / "hopper-random.json").read_text())
+def test_a_record_and_its_line(tmp_path: Path) -> None:
+    ledger = Ledger(generators_study.STUDY, tmp_path)
+    job = next(job for job in ledger.study.jobs() if job.name == "hopper-random")
+    small = Recording("hopper-random", transitions=300)
+    record = small.do(tmp_path, Silent())
     assert record["origin"] == "locally generated data" and record["environment"]["id"] == "Hopper-v4"
     assert record["transitions_per_second"] == pytest.approx(300 / record["seconds"])
-    table = (tmp_path / "table.md").read_text()
+    with pytest.raises(ConfigError, match="transitions was 300, is 100000"):
+        ledger.write(job, record)
+    table = generators_study.table([record])
     assert "locally generated data" in table and "| hopper-medium | | | | | | | no policy shipped | | |" in table
     figures = record["statistics"]
     assert f"| {figures['mean']:,.1f} ± {figures['std']:,.1f} | {figures['normalised_mean']:.1f} " in table
-    generators_study.run(tmp_path)
-    assert "0 of 3 sets to record" in capsys.readouterr().err
-    assert (tmp_path / "table.md").read_text() == table
 
 
 def test_a_set_that_is_not_accepted_says_why():
     check = {"figure": "normalised_mean", "value": 9.0, "lowest": 41.3, "highest": 47.3, "passed": False}
     record = {
+        "name": "hopper-medium",
         "environment": {"id": "Hopper-v4"},
         "statistics": {
             "environment": "Hopper-v4",
@@ -53,14 +46,40 @@ def test_a_set_that_is_not_accepted_says_why():
         "transitions_per_second": 5000.0,
         "processor_seconds": 10.0,
     }
-    table = generators_study.table({"hopper-medium": record})
+    table = generators_study.table([record])
     assert "| 272.6 ± 1.0 | 9.0 | 41.3 to 47.3 | 0.0040 | no | 5,000 | 10,000 |" in table
     assert "- `hopper-medium`: normalised_mean is 9" in table
 
 
-def test_every_random_set_can_be_recorded_without_policies():
-    assert [name for name in NAMES if generators_study.policy_mark(name) == "none"] == [
+def test_the_print_of_policies_covers_what_they_do_and_not_their_notes(monkeypatch: pytest.MonkeyPatch) -> None:
+    from dataclasses import replace
+
+    from odaf.environments import shipped_policies
+
+    def print_with(change) -> str | None:
+        logs.policies_print.cache_clear()
+        with monkeypatch.context() as patch:
+            patch.setattr(shipped_policies, "shipped", lambda task: change(whole(task)))
+            return logs.policies_print("hopper-medium")
+
+    whole = shipped_policies.shipped
+    today = logs.policies_print("hopper-medium")
+    assert print_with(lambda policies: replace(policies, facts={**policies.facts, "training": "better told"})) == today
+    assert print_with(lambda policies: replace(policies, medium=replace(policies.medium, spread=0.5))) != today
+    assert print_with(lambda policies: replace(policies, replay=policies.replay[1:])) != today
+    assert print_with(lambda policies: replace(policies, medium=None)) is None
+    logs.policies_print.cache_clear()
+    assert [name for name in NAMES if logs.policies_print(name) == "none"] == [
         "halfcheetah-random",
         "hopper-random",
         "walker2d-random",
     ]
+
+
+def test_records_of_other_policies_are_stale(tmp_path: Path) -> None:
+    recording = Recording("hopper-medium")
+    first = "f01e77b6404d4c0354fd48fa4b712642ea66575fd9c1fa2e13cb85b357c718be"  # as the first records name them
+    for mark, same in ((first, True), ("0" * 64, False), (logs.policies_print("hopper-medium"), True)):
+        record = {"policies_sha256": mark, "statistics": {"transitions": 100_000}, "seed": 0}
+        recorded = recording.recorded(record, {}) | recording.unrecorded()
+        assert (recorded == recording.identity()) == same

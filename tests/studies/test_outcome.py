@@ -1,62 +1,13 @@
-"""The outcome study: records, the paired gain in the table, and going on after a stop; runs of very few updates."""
+"""The outcome study: its plan, and the paired gain in its tables; runs are tested with the work of training."""
 
 import json
 from pathlib import Path
 from typing import Any
 
-import pytest
-
-from odaf.environments import stitch_data
-from odaf.runs import presets
-from odaf.studies import ledger
 from odaf.studies import outcome as outcome_study
-from odaf.studies import pointmaze as pointmaze_study
-from odaf.studies.ledger import StudyRun
+from odaf.studies.training import Training
 
-
-def few(seed: int, weight: float) -> StudyRun:
-    small = {"num_critics": 2, "outcome.weight": weight, "hidden_sizes": (8,), "batch_size": 8}
-    return StudyRun("odaf", "stitch", seed, 4, tuple(small.items()))
-
-
-@pytest.fixture
-def small(monkeypatch: pytest.MonkeyPatch) -> None:
-    load = presets.load
-
-    def quick(name: str, changes: dict[str, Any]) -> Any:
-        dynamics = {"outcome.dynamics.steps": 3, "outcome.dynamics.hidden_sizes": (8,), "outcome.num_states": 4}
-        return load(name, changes if changes["outcome.weight"] == 0 else changes | dynamics)
-
-    monkeypatch.setattr(presets, "load", quick)
-    monkeypatch.setattr(stitch_data, "CONFIGS", {"stitch": stitch_data.CONFIGS["stitch"].with_repeats(2)})
-    monkeypatch.setattr(outcome_study, "plan", lambda: [[few(0, 0.0), few(0, 3.0)]])
-    monkeypatch.setattr(outcome_study, "EPISODES", 2)
-    monkeypatch.setattr(pointmaze_study, "EPISODES", 2)
-
-
-@pytest.mark.usefixtures("small")
-def test_records_table_and_going_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    out, work = tmp_path / "results", tmp_path / "work"
-
-    def stop(*arguments: Any) -> None:
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr(outcome_study, "summarise", stop)
-        outcome_study.run(out, work=work)
-    assert [json.loads(path.read_text())["weight"] for path in out.glob("*.json")] == [0.0]
-    stamps = {path: path.stat().st_mtime_ns for path in out.glob("*.json")}
-
-    outcome_study.run(out, phase=[1], work=work)
-    assert {path: path.stat().st_mtime_ns for path in stamps} == stamps
-    records = {record["weight"]: record for record in ledger.read_records(out)}
-    assert str(tmp_path) not in json.dumps(list(records.values()))
-    assert sorted(records) == [0.0, 3.0]
-    assert all(record["critics"] == record["algorithm"]["num_critics"] == 2 for record in records.values())
-    assert records[3.0]["pretrain"] and not records[0.0]["pretrain"]  # a weight of 0 leaves the term out altogether
-    gain = records[3.0]["final"]["mean_return"] - records[0.0]["final"]["mean_return"]
-    (row,) = [line for line in (out / "table.md").read_text().splitlines() if line.startswith("| 2 | 3 | 4 | 1 |")]
-    assert row.endswith(f"| {gain:+.1f} | one seed | 1 |")
+RESULTS = Path(__file__).parents[2] / "results" / "outcome"
 
 
 def record_of(critics: int, weight: float, seed: int, mean: float | None) -> dict[str, Any]:
@@ -108,15 +59,27 @@ def test_hopper_has_a_table_of_its_own_in_normalised_scores() -> None:
 
 
 def test_a_partial_run_answers_for_the_smallest_ensemble_first() -> None:
-    phases = outcome_study.plan()
-    asked = [({run.task for run in phase}, {dict(run.changes)["num_critics"] for run in phase}) for phase in phases]
+    phases = [[job.do for job in phase.jobs if isinstance(job.do, Training)] for phase in outcome_study.plan()]
+    asked = [
+        ({run.task.name for run in phase}, {dict(run.changes)["num_critics"] for run in phase}) for phase in phases
+    ]
     maze, hopper = {"stitch"}, {"hopper-medium"}
     assert asked == [(maze, {2}), (maze, {4}), (maze, {10}), (hopper, {4}), (hopper, {4}), (hopper, {10})]
     for number, phase in enumerate(phases, start=1):
-        weights = (0.0, 0.3, 3.0) if phase[0].task == "stitch" else (0.0, 1.0) if number == 5 else (0.0, 1.0, 20.0)
+        weights = (0.0, 0.3, 3.0) if phase[0].task.name == "stitch" else (0.0, 1.0) if number == 5 else (0.0, 1.0, 20.0)
         pairs = [(run.seed, dict(run.changes)["outcome.weight"]) for run in phase]
         seeds = range(3, 8) if number == 5 else range(3)
         assert pairs == [(seed, weight) for seed in seeds for weight in weights]
         assert {run.steps for run in phase} == {20_000}
     runs = [run for phase in phases for run in phase]
     assert len({run.title for run in runs}) == len(runs) == 27 + 18 + 10
+
+
+def test_a_weight_of_0_leaves_the_term_out_and_every_record_says_what_is_compared() -> None:
+    for phase in outcome_study.plan():
+        for job in phase.jobs:
+            assert isinstance(job.do, Training)
+            notes = dict(job.do.notes)
+            record = json.loads((RESULTS / f"{job.name}.json").read_text(encoding="utf-8"))
+            assert (record["critics"], record["weight"]) == (notes["critics"], notes["weight"])
+            assert bool(record["pretrain"].get("outcome")) == (notes["weight"] != 0.0)

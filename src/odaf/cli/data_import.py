@@ -22,6 +22,10 @@ class ImportOptions(ReaderOptions):
 
     A table from a plant:  odaf data import log.csv --observations level flow --actions valve --reward profit
     --episode batch --terminated tripped --action-bounds 0 100 --out valve.h5
+
+    One as historians write it:  odaf data import log.csv --units-row --decimal-comma --missing-values "Bad,No Data"
+    --on-missing break --observations level --observation "error = level - setpoint" --reward "-abs(level - setpoint)"
+    --lags 2 --actions valve --episode shift --time time --out valve.h5
     """
 
     file: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FILE")]
@@ -29,7 +33,8 @@ class ImportOptions(ReaderOptions):
     out: Annotated[Path, tyro.conf.arg(metavar="FILE")]
     """File to write."""
     accept: Annotated[tuple[str, ...], tyro.conf.arg(metavar="CHECK [CHECK ...]")] = ()
-    """Checks whose errors are accepted, by the name in the report; they are recorded in the file."""
+    """Checks whose errors are accepted, by the name in the report; they are recorded in the file. What no data set can
+    hold, such as NaN, cannot be accepted."""
     force: bool = False
     """Write over a file of another kind, if one is there."""
 
@@ -41,8 +46,9 @@ def run(arguments: list[str]) -> None:
     check_outputs({"--out": (options.out, DATASET)}, options.files_read(options.file), options.force)
 
     from odaf.data.checks import known, open_log
-    from odaf.data.ingestion import ingest
+    from odaf.data.ingestion import ingest, refuse_hopeless
 
+    refuse_hopeless(options.accept)
     log = open_log(options.file, options.format, **options.for_reader())
     with rows_bar("checking") as progress:
         dataset, report = ingest(log, accept=options.accept, progress=progress)

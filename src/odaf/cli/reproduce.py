@@ -1,65 +1,191 @@
 """`odaf reproduce STUDY`: measure a whole study with one command that can be stopped and repeated."""
 
-from dataclasses import dataclass
+import dataclasses
+import difflib
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
 from odaf.cli.interrupts import repeatable
 from odaf.cli.options import parse
+from odaf.cli.results import table
 from odaf.errors import ConfigError
+from odaf.studies.registry import STUDIES
+
+if TYPE_CHECKING:
+    from odaf.studies.job import Study
+    from odaf.studies.listing import Holding
 
 
-@dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True)
 class ReproduceOptions:
-    """Measure a whole study: every run, one JSON file each, then a table (and figures) drawn from those files.
+    """Measure a whole study: every record a JSON file of its own, then tables and figures drawn from those files."""
 
-    Runs that are there already are not repeated, so the command can be stopped and given again.
-
-    pointmaze: stitching in a maze; our default, its base without the outcome term, the paper's form, cloning.
-    outcome: what the outcome term adds in the maze with two, four and ten critics, and on Hopper.
-    locomotion: learning curves of every learner on Hopper and HalfCheetah data made on the spot.
-    generators: every locomotion set we can record, beside the published set of its name.
-    """
-
-    study: tyro.conf.Positional[Literal["pointmaze", "outcome", "locomotion", "generators"]]
-    """What to measure."""
-    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
-    """Directory for the results; without it, results/STUDY."""
+    study: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="STUDY")] = ""
+    """What to measure; without it, the studies are listed."""
+    list: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Measure nothing: say what the study, or every study, costs, and which of its records are there and count."""
+    minutes: Annotated[float | None, tyro.conf.arg(metavar="N")] = None
+    """Stop after so many minutes, and do first what says most; see above."""
     workers: int = 1
-    """Runs at the same time, each in its own process."""
-    only: Annotated[tuple[str, ...], tyro.conf.arg(metavar="PRESET ...")] = ()
-    """locomotion: measure only these presets, with their variants; or single variants, by the table's name."""
+    """Jobs at the same time, each in a process on cores of its own."""
+    only: Annotated[tuple[str, ...], tyro.conf.arg(metavar="WORD ...")] = ()
+    """Measure only a part: methods, tasks and the like. Words of one kind widen the choice, of two kinds narrow it."""
     phase: Annotated[tuple[int, ...], tyro.conf.arg(metavar="NUMBER ...")] = ()
-    """locomotion and outcome: measure only these phases of the plan, from 1; they are ordered from cheap to costly."""
+    """Measure only these phases of the plan, from 1; those that say most for their cost come first."""
+    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
+    """The ledger: directory of the records, the tables and the figures; without it, results/STUDY."""
+    work: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
+    """Directory of data and runs, which may be thrown away once the records are there; without it, runs/STUDY."""
 
 
 def run(arguments: list[str]) -> None:
     """Entry point of the command."""
-    options = parse(ReproduceOptions, arguments, "reproduce")
-    for name, given, studies in (
-        ("only", options.only, ("locomotion",)),
-        ("phase", options.phase, ("locomotion", "outcome")),
-    ):
-        if given and options.study not in studies:
-            raise ConfigError(f"--{name}: belongs to {' and '.join(studies)}, not to {options.study}; leave it out")
+    named = next((word for word in arguments if word in STUDIES), None)
+    options: Any = parse(_options(named), arguments, "reproduce")
+    if options.list and not options.study:
+        return _list_all(options)
+    if not options.study and arguments:
+        raise ConfigError(f"name a study first, as in `odaf reproduce pointmaze`; known are {', '.join(STUDIES)}")
+    if not options.study:
+        print(f"{_studies()}\n\n`odaf reproduce STUDY` measures one, `odaf reproduce --list` says what each costs")
+        return None
+    if options.study not in STUDIES:
+        near = difflib.get_close_matches(options.study, STUDIES, n=1)
+        hint = f"did you mean {near[0]}? " if near else ""
+        raise ConfigError(f"there is no study {options.study!r}; {hint}known are {', '.join(STUDIES)}")
+    if options.minutes is not None and not options.minutes > 0:
+        raise ConfigError(f"--minutes {options.minutes:g}: must be more than 0; leave it out to measure everything")
+    if options.workers < 1:
+        raise ConfigError(f"--workers {options.workers}: must be at least 1")
+    return _list_one(STUDIES[options.study], options) if options.list else _measure(STUDIES[options.study], options)
 
-    out = options.out or Path("results") / options.study
+
+def _measure(study: "Study", options: ReproduceOptions) -> None:
+    from odaf.studies.executor import Here
+    from odaf.studies.job import chosen
+    from odaf.studies.ledger import Ledger
+    from odaf.studies.news import Display
+    from odaf.studies.perform import perform
+
+    out, work = _places(study, options)
+    jobs, ledger = chosen(study, options.phase, options.only), Ledger(study, out)
     with repeatable():
-        if options.study == "pointmaze":
-            from odaf.studies import pointmaze as pointmaze_study
+        perform(
+            ledger,
+            jobs,
+            work,
+            Here(options.workers),
+            Display(study.name),
+            minutes=options.minutes,
+            costs=_costs(study, ledger),
+        )
+    print(f"The records are in {out}, drawn as {', '.join([*study.tables, *study.figures])}")
 
-            pointmaze_study.run(out, workers=options.workers)
-        elif options.study == "outcome":
-            from odaf.studies import outcome as outcome_study
 
-            outcome_study.run(out, workers=options.workers, phase=options.phase)
-        elif options.study == "locomotion":
-            from odaf.studies import locomotion as locomotion_study
+def _list_all(options: ReproduceOptions) -> None:
+    from odaf.studies.ledger import Ledger, stale
+    from odaf.studies.listing import holding, known_costs
 
-            locomotion_study.run(out, workers=options.workers, only=options.only, phase=options.phase)
-        else:
-            from odaf.studies import generators as generators_study
+    if options.out is not None or options.work is not None or options.only or options.phase:
+        raise ConfigError(
+            "--list: name a study first to list a part of it or another ledger, as in "
+            "`odaf reproduce pointmaze --list --out DIR`"
+        )
+    costs, rows, stale_records = known_costs(STUDIES.values(), Path("results")), [], []
+    for study in STUDIES.values():
+        out, work = _places(study, options)
+        ledger = Ledger(study, out)
+        standings = [ledger.standing(job) for job in study.jobs()]
+        rows.append(holding(study.name, standings, costs, work))
+        stale_records += [f"{out}/{line}" for line in stale(standings)]
+    _print(rows, stale_records)
+    print(f"\n{_studies()}\n\n`odaf reproduce STUDY --list` shows the phases of one")
 
-            generators_study.run(out, workers=options.workers)
+
+def _list_one(study: "Study", options: ReproduceOptions) -> None:
+    from odaf.studies.job import chosen
+    from odaf.studies.ledger import Ledger, stale
+    from odaf.studies.listing import by_phase, holding
+
+    out, work = _places(study, options)
+    ledger = Ledger(study, out)
+    costs = _costs(study, ledger)
+    standings = [ledger.standing(job) for job in chosen(study, options.phase, options.only)]
+    part = bool(options.phase or options.only)
+    rows = [] if part else by_phase(ledger, costs, work)
+    rows.append(holding("the part asked for" if part else "in all", standings, costs, work))
+    print(f"{study.name}: {study.summary}\n")
+    _print(rows, stale(standings))
+    missing = [standing.job.name for standing in standings if standing.state == "missing"]
+    if missing:
+        print(f"\nmissing, in the order in which they would be measured: {', '.join(missing)}")
+
+
+def _print(rows: Sequence["Holding"], stale_records: Sequence[str]) -> None:
+    from odaf.studies.cost import minutes
+
+    cells = [
+        [
+            row.title,
+            f"{row.held} of {row.jobs}",
+            str(row.stale),
+            minutes(row.seconds),
+            minutes(row.left) if row.held < row.jobs else "-",
+        ]
+        for row in rows
+    ]
+    print(table(["", "held", "stale", "of one core", "still to go"], cells))
+    if stale_records:
+        print("\nstale, because they say something else than would be measured today:")
+        print("\n".join(f"  {line}" for line in stale_records))
+
+
+def _costs(study: "Study", ledger: Any) -> Any:
+    """Estimates from this ledger, and from those of all studies where they lie by default."""
+    from odaf.studies.cost import Costs
+    from odaf.studies.listing import records_of
+
+    measured = records_of(ledger)
+    for other in STUDIES.values():
+        ledger_there = type(ledger)(other, Path("results") / other.name)
+        if ledger_there.out.resolve() != ledger.out.resolve():
+            measured = records_of(ledger_there) + measured  # this ledger's own come last, and count
+    return Costs(measured)
+
+
+def _places(study: "Study", options: ReproduceOptions) -> tuple[Path, Path]:
+    return options.out or Path("results") / study.name, options.work or Path("runs") / study.name
+
+
+_HOW = (
+    "A record that is there and says what would be measured today is not measured again, so the command can be stopped "
+    "and given again.",
+    "With --minutes, the order of the plan is the priority: phase by phase, and in a phase the first seed of every "
+    "method on one task, then on the next task, before any second seed. What is too long for the time that is left "
+    "makes room for what fits. When nothing fits, the first that is too long is begun; it goes on from its last "
+    "checkpoint next time.",
+)
+
+
+def _options(named: str | None) -> type[ReproduceOptions]:
+    """The options, with a help page that knows the studies, or the one that is named."""
+    lines = _studies() if named is None else _parts(STUDIES[named])
+    text = "\n\n".join([ReproduceOptions.__doc__ or "", *_HOW, lines])
+    kind = type("ReproduceOptions", (ReproduceOptions,), {"__doc__": text})
+    return dataclasses.dataclass(frozen=True)(kind)
+
+
+def _studies() -> str:
+    return "studies:\n" + "\n".join(f"  {name}: {study.summary}" for name, study in STUDIES.items())
+
+
+def _parts(study: "Study") -> str:
+    """What `--phase` and `--only` take in this study."""
+    from odaf.studies.job import labels_of
+
+    phases = "\n".join(f"  {number}: {phase.title}" for number, phase in enumerate(study.plan(), start=1))
+    words = "\n".join(f"  {kind}: {', '.join(found)}" for kind, found in labels_of(study.jobs()).items())
+    return f"{study.name}: {study.summary}.\n\nphases:\n{phases}\n\nwords of --only:\n{words}"

@@ -5,7 +5,9 @@ import os
 import pickle
 import signal
 import threading
-from collections.abc import Callable, Iterator, Sequence
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from typing import Any, TypeVar
 
@@ -26,6 +28,8 @@ def run_jobs(
     prepare: Callable[[], object] | None = None,
     hear: Callable[[Any], object] | None = None,
     always_apart: bool = False,
+    then: Callable[[Job, Any], Iterable[Job]] | None = None,
+    until: float | None = None,
 ) -> Iterator[tuple[Job, Any]]:
     """Call `function` on every job and yield (job, result) as they finish.
 
@@ -40,13 +44,18 @@ def run_jobs(
         prepare: picklable; called once in each process before its first job.
         hear: called in this process with whatever jobs `tell`, in the order told by each.
         always_apart: with several workers, a single job runs in a worker too, on the cores it would have beside others.
+        then: called in this process with each finished job and its result; the jobs that it returns are done as well.
+        until: a time of `time.monotonic` when jobs that still run are stopped; neither they nor those that wait have a
+            result. Only a process can be stopped, so a single worker is one of its own then.
 
     Raises:
         Whatever a job raises; jobs that have not started are then dropped, and those that have are waited for.
     """
-    if workers <= 1 or (len(jobs) <= 1 and not always_apart):
-        yield from _one_by_one(function, jobs, prepare, hear)
+    apart = workers > 1 and (always_apart or then is not None or len(jobs) > 1)
+    if not apart and until is None:
+        yield from _one_by_one(function, jobs, prepare, hear, then)
         return
+    workers = max(1, workers)
     context = multiprocessing.get_context("spawn")
     numbers, news = context.Queue(), context.SimpleQueue()
     for number in range(workers):
@@ -54,15 +63,21 @@ def run_jobs(
     leave, stay = context.Pipe(duplex=False)
     begin = (leave, numbers, workers, news, pickle.dumps(prepare))
     with leave, stay, ProcessPoolExecutor(workers, mp_context=context, initializer=_begin, initargs=begin) as pool:
-        futures = {pool.submit(function, job): job for job in jobs}
-        waiting = set(futures)
+        waiting = {pool.submit(function, job): job for job in jobs}
         try:
             while waiting:
-                done, waiting = wait(waiting, timeout=_SECONDS_BETWEEN_NEWS, return_when=FIRST_COMPLETED)
+                done, _ = wait(waiting, timeout=_SECONDS_BETWEEN_NEWS, return_when=FIRST_COMPLETED)
                 while not news.empty():
                     _hear(news.get(), hear)
                 for future in done:
-                    yield futures[future], future.result()
+                    job, result = waiting.pop(future), future.result()
+                    for further in () if then is None else then(job, result):
+                        waiting[pool.submit(function, further)] = further
+                    yield job, result
+                if until is not None and time.monotonic() >= until:
+                    stay.close()  # nobody waits for what is still running
+                    pool.shutdown(wait=False, cancel_futures=True)
+                    return
         except Exception:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
@@ -83,14 +98,18 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def _one_by_one(function: Any, jobs: Any, prepare: Any, hear: Any) -> Iterator[tuple[Any, Any]]:
+def _one_by_one(function: Any, jobs: Any, prepare: Any, hear: Any, then: Any) -> Iterator[tuple[Any, Any]]:
     global _news
     before, _news = _news, _Here(hear)
     try:
         if prepare is not None:
             prepare()
-        for job in jobs:
-            yield job, function(job)
+        waiting = deque(jobs)
+        while waiting:
+            job = waiting.popleft()
+            result = function(job)
+            waiting.extend(() if then is None else then(job, result))
+            yield job, result
     finally:
         _news = before
 

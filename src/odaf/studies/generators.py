@@ -1,86 +1,123 @@
 """The generators' study: is every locomotion set that we can record what its name says?
 
-One JSON file a set under the results directory, and a table drawn from those files. Sets whose file is there and was
-made with the policies shipped now are not recorded again; sets without a policy are listed as such.
+A set is recorded again once the policies that play in it are others; sets without a policy are listed as such.
 """
 
-import json
-import sys
 import time
-from collections.abc import Mapping
-from hashlib import sha256
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from odaf.environments.locomotion_data import NAMES, generate, split_name
-from odaf.environments.shipped_policies import shipped
-from odaf.errors import ConfigError
-from odaf.runs.workers import run_jobs
-from odaf.studies.ledger import LOCAL
-from odaf.training.files import write_json
+from odaf.studies.job import DataEntries, Job, Phase, Record, Study, Work
+from odaf.studies.logs import LOCAL, policies_print
+
+if TYPE_CHECKING:
+    from odaf.training.progress import ProgressReport
 
 TRANSITIONS = 100_000
 SEED = 0
 
+# The first records name a fingerprint of the whole page of facts. Nothing on the pages changed since but the noted
+# command, which is complete now; the policies that these records were made with are those of today's fingerprints.
+_FIRST_RECORDS = {
+    "8b57c3c974de34f05ad2ed5991861e179998f85111ef96b15a87a2c6d295c68b": (  # halfcheetah
+        "1201d4e481d4fff9c498ebc02ec815cc703e5a41caf4480176bf96a09566c39e"
+    ),
+    "f01e77b6404d4c0354fd48fa4b712642ea66575fd9c1fa2e13cb85b357c718be": (  # hopper
+        "f8e0ae9ea97e04a22715b2e4b8ae4dc02ac1cd92c9a55f089663ba067b86ccc1"
+    ),
+    "65fe901ac9476a6221b4b518b8906deb89bd1498a705f045918ecdbeb0aced73": (  # walker2d
+        "44a72fe8712b229a39a66d9a0de765f46bb248889544cb7a62710801bd8128cb"
+    ),
+}
 
-def run(out: Path, workers: int = 1) -> None:
-    """Record what is missing, then write the table.
 
-    Args:
-        out: directory of the records and `table.md`.
-        workers: sets at the same time, each on its own core.
+@dataclass(frozen=True)
+class Recording(Work):
+    """One set recorded, its figures beside the published set's.
+
+    Attributes:
+        set_name: as in `hopper-medium`.
+        transitions: rows.
+        seed: of starts and actions.
     """
-    out.mkdir(parents=True, exist_ok=True)
-    known = {name: policy_mark(name) for name in NAMES}
-    missing = [name for name, mark in known.items() if mark is not None and not _is_current(out / f"{name}.json", mark)]
-    print(f"{len(missing)} of {len(NAMES)} sets to record; records in {out}", file=sys.stderr)
-    for (name, _), record in run_jobs(measure, [(name, out) for name in missing], workers):
+
+    set_name: str
+    transitions: int = TRANSITIONS
+    seed: int = SEED
+
+    @property
+    def labels(self) -> dict[str, tuple[str, ...]]:
+        from odaf.environments.locomotion_data import split_name
+
+        task, kind = split_name(self.set_name)
+        return {"task": (task.name,), "kind": (kind,), "set": (self.set_name,)}
+
+    def identity(self) -> dict[str, Any]:
+        return {
+            "version": 1,
+            "transitions": self.transitions,
+            "seed": self.seed,
+            "policies_sha256": policies_print(self.set_name),
+        }
+
+    def recorded(self, record: Record, data: DataEntries) -> dict[str, Any]:
+        mark = record["policies_sha256"]
+        return {
+            **record.get("identity", {}),
+            "transitions": record["statistics"]["transitions"],
+            "seed": record["seed"],
+            "policies_sha256": _FIRST_RECORDS.get(mark, mark),
+        }
+
+    def unrecorded(self) -> dict[str, Any]:
+        return {"version": 1}
+
+    def guess(self) -> float:
+        return 15.0
+
+    def said(self, record: Record) -> str:
         verdict = {True: "accepted", False: "not accepted", None: "unknown"}[record["acceptance"]["passed"]]
-        print(f"{name}: {verdict}, {record['transitions_per_second']:,.0f} transitions/s", file=sys.stderr)
-    records = {name: _read(out / f"{name}.json") for name in NAMES if known[name] is not None}
-    (out / "table.md").write_text(table(records), encoding="utf-8")
+        return f"{verdict}, {record['transitions_per_second']:,.0f} transitions/s"
+
+    def do(self, place: Path, progress: "ProgressReport") -> Record:
+        from odaf.environments.locomotion_data import generate
+
+        began, used = time.monotonic(), time.process_time()
+        dataset = generate(self.set_name, self.transitions, self.seed, progress=progress)
+        seconds, processor_seconds = time.monotonic() - began, time.process_time() - used
+        made = f"odaf data generate {self.set_name} --transitions {self.transitions} --seed {self.seed} --out FILE"
+        return {
+            "origin": LOCAL,
+            "same_set": made,
+            "identity": {"version": 1},
+            "policies_sha256": policies_print(self.set_name),
+            "sha256": dataset.fingerprint(),
+            "seconds": seconds,
+            "processor_seconds": processor_seconds,
+            "transitions_per_second": self.transitions / seconds,
+            **{key: dataset.provenance[key] for key in ("name", "seed", "environment", "policies", "versions")},
+            **{key: dataset.provenance[key] for key in ("statistics", "acceptance", "findings")},
+        }
 
 
-def measure(job: tuple[str, Path]) -> dict[str, Any]:
-    """Record one set and write its figures."""
-    name, out = job
-    began, used = time.monotonic(), time.process_time()
-    dataset = generate(name, TRANSITIONS, SEED)
-    seconds, processor_seconds = time.monotonic() - began, time.process_time() - used
-    record = {
-        "study": "generators",
-        "origin": LOCAL,
-        "command": "odaf reproduce generators",
-        "same_set": f"odaf data generate {name} --transitions {TRANSITIONS} --seed {SEED} --out FILE",
-        "policies_sha256": policy_mark(name),
-        "sha256": dataset.fingerprint(),
-        "seconds": seconds,
-        "processor_seconds": processor_seconds,
-        "transitions_per_second": TRANSITIONS / seconds,
-        **{key: dataset.provenance[key] for key in ("name", "seed", "environment", "policies", "versions")},
-        **{key: dataset.provenance[key] for key in ("statistics", "acceptance", "findings")},
-    }
-    write_json(out / f"{name}.json", record)
-    return record
+def plan() -> list[Phase]:
+    """A phase for each robot, with the sets that have their policies."""
+    from odaf.environments.locomotion_data import NAMES, split_name
+
+    phases: dict[str, list[Job]] = {}
+    for name in NAMES:
+        if policies_print(name) is not None:
+            phases.setdefault(split_name(name)[0].name, []).append(Job(name, Recording(name)))
+    return [Phase(f"the sets of {task}", tuple(jobs)) for task, jobs in phases.items()]
 
 
-def policy_mark(name: str) -> str | None:
-    """A fingerprint of what plays in a set: the task's page of facts; None where it cannot be recorded yet."""
-    task, kind = split_name(name)
-    if kind == "random":
-        return "none"
-    try:
-        policies = shipped(task)
-    except ConfigError:
-        return None
-    needed = {"medium-replay": [policies.replay], "medium-expert": [policies.medium, policies.expert]}
-    if not all(needed.get(kind, [getattr(policies, kind, None)])):
-        return None
-    return sha256(json.dumps(policies.facts, sort_keys=True).encode()).hexdigest()
-
-
-def table(records: Mapping[str, Mapping[str, Any]]) -> str:
+def table(records: Sequence[Record]) -> str:
     """Markdown table: a row a set, what its episodes earn beside what the published set's do."""
+    from odaf.environments.locomotion_data import NAMES
+
+    by_name = {record["name"]: record for record in records}
     lines = [
         f"Sets recorded by our own policies: {LOCAL}, {TRANSITIONS:,} transitions each. Scores are normalised, 0 for a",
         "random policy and 100 for an expert, and belong to the environment named; the raw return stands beside them.",
@@ -93,17 +130,17 @@ def table(records: Mapping[str, Mapping[str, Any]]) -> str:
         "|---|---|---|---|---|---|---|---|---|---|",
     ]
     for name in NAMES:
-        if name not in records:
+        if name not in by_name:
             lines.append(f"| {name} | | | | | | | no policy shipped | | |")
             continue
-        record = records[name]
+        record = by_name[name]
         for part, figures in (record["statistics"].get("parts") or {"": record["statistics"]}).items():
             lines.append(_row(name, part, figures, record))
-    missing = [name for name in NAMES if name in records and records[name]["acceptance"]["passed"] is not True]
+    missing = [name for name in NAMES if name in by_name and by_name[name]["acceptance"]["passed"] is not True]
     if missing:
         lines += ["", "Not accepted, check by check:", ""]
         for name in missing:
-            lines += [f"- `{name}`: {finding['message']}" for finding in records[name]["findings"]]
+            lines += [f"- `{name}`: {finding['message']}" for finding in by_name[name]["findings"]]
     return "\n".join(lines) + "\n"
 
 
@@ -123,9 +160,9 @@ def _row(name: str, part: str, figures: Mapping[str, Any], record: Mapping[str, 
     )
 
 
-def _is_current(path: Path, mark: str) -> bool:
-    return path.exists() and _read(path)["policies_sha256"] == mark
-
-
-def _read(path: Path) -> dict[str, Any]:
-    return json.loads(path.read_text(encoding="utf-8"))
+STUDY = Study(
+    "generators",
+    "every locomotion set we can record, beside the published set of its name",
+    plan,
+    {"table.md": table},
+)

@@ -1,230 +1,169 @@
-"""What the studies share: runs that go on where they stopped, and a record of each that is written once.
+"""The ledger of a study: a directory with one JSON file a record, and what each of them is worth today.
 
-A study is a list of `StudyRun`s. The results directory holds one JSON file a run, and everything else there is drawn
-from those files. Data and run directories lie in a work directory and may be thrown away once the records are there.
+NAME.json     a record
+data.json     the logs that the records stand on: for each its recipe, and the fingerprints that its rows go by
+*.md, *.png   drawn from the records that count
 """
 
 import json
-import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, Literal
 
-from odaf.errors import ConfigError, DivergenceError
-from odaf.runs.workers import run_jobs
-from odaf.training.files import write_json
+from odaf.errors import ConfigError
+from odaf.studies.identity import differences
+from odaf.studies.job import Job, Log, Record, Study
 
-if TYPE_CHECKING:
-    from odaf.evaluation.rollouts import Rollouts
-    from odaf.evaluation.runs import Run
-
-LOCAL = "locally generated data"
-CHECKPOINT_EVERY = 5_000
+DATA = "data.json"
 
 
 @dataclass(frozen=True)
-class StudyRun:
-    """One policy to train and score.
+class Standing:
+    """Where a job stands.
 
     Attributes:
-        preset: its name.
-        task: the maze or data set to learn from.
-        seed: of the training.
-        steps: updates to make.
-        changes: settings other than the preset's, by dotted name.
+        job: the job.
+        state: "held", its record counts; "stale", it says something else than today's code would measure; "missing".
+        record: the record, if there is one.
+        differences: of a stale record, field by field.
     """
 
-    preset: str
-    task: str
-    seed: int
-    steps: int
-    changes: tuple[tuple[str, Any], ...] = ()
-
-    @property
-    def method(self) -> str:
-        """The preset and what is changed in it, as in `odaf-return_steps-5`."""
-        return "-".join([self.preset, *(f"{field}-{value}" for field, value in self.changes)])
-
-    @property
-    def title(self) -> str:
-        """What lies in one directory, however many updates it has made."""
-        return f"{self.task}-{self.method}-seed{self.seed}"
-
-    @property
-    def name(self) -> str:
-        """File name of its record, without the ending."""
-        return f"{self.title}-{self.steps}"
+    job: Job
+    state: Literal["held", "stale", "missing"]
+    record: Record | None
+    differences: tuple[str, ...] = ()
 
 
-Measure = Callable[[StudyRun, Path], dict[str, Any]]
-
-
-def measure_missing(
-    measure: Measure,
-    phases: Sequence[Sequence[StudyRun]],
-    out: Path,
-    work: Path,
-    *,
-    workers: int = 1,
-    prepare: Callable[[Path, str], object],
-    summarise: Callable[[Path], None],
-) -> None:
-    """Write the record of every run that has none, and redraw the summary after each.
+class Ledger:
+    """The records of one study in one directory; nothing is kept in memory but `data`, the logs they stand on.
 
     Args:
-        measure: trains a run, or goes on with it, in the work directory and returns its record; importable by name.
-        phases: runs of a phase may be under way at once; a phase begins when the one before it is done.
-        out: directory of the records.
-        work: directory of data and run directories.
-        workers: runs at the same time, each on its own core.
-        prepare: makes the data of a task in the work directory if they are not there.
-        summarise: draws from the records in `out` whatever stands beside them.
-    """
-    runs = [run for phase in phases for run in phase]
-    missing = {run for run in runs if not (out / f"{run.name}.json").exists()}
-    print(f"{len(missing)} of {len(runs)} runs to go; records in {out}", file=sys.stderr)
-    out.mkdir(parents=True, exist_ok=True)
-    for task in sorted({run.task for run in missing}):
-        prepare(work, task)
-    for phase in phases:
-        jobs = [run for run in phase if run in missing]
-        for run, record in run_jobs(partial(_write_record, measure, out, work), jobs, workers):
-            print(f"{run.name}: {_score(record)}", file=sys.stderr)
-            summarise(out)
-    summarise(out)
-
-
-def read_records(out: Path) -> list[dict[str, Any]]:
-    """The records in `out`, in the order of their names."""
-    return [json.loads(path.read_text(encoding="utf-8")) for path in sorted(out.glob("*-seed*.json"))]
-
-
-def grouped(records: Sequence[dict[str, Any]], key: Callable[[dict[str, Any]], Any]) -> dict[Any, list[dict[str, Any]]]:
-    """Records with equal keys, in the order of the keys."""
-    groups: dict[Any, list[dict[str, Any]]] = {}
-    for record in records:
-        groups.setdefault(key(record), []).append(record)
-    return dict(sorted(groups.items()))
-
-
-def chosen_phases(
-    phases: Sequence[Sequence[StudyRun]], phase: Sequence[int] = (), only: Sequence[str] = ()
-) -> list[list[StudyRun]]:
-    """The part of a plan that was asked for.
-
-    Args:
-        phases: the plan.
-        phase: numbers of phases, from 1; none takes all.
-        only: presets, or methods such as `odaf-return_steps-5`; none takes all.
+        study: whose records they are.
+        out: the directory, which need not exist.
 
     Raises:
-        ConfigError: a number or a name is not in the plan.
+        ConfigError: `data.json` cannot be read.
     """
-    numbers = range(1, len(phases) + 1)
-    for number in phase:
-        if number not in numbers:
-            raise ConfigError(f"--phase {number}: this study has phases 1 to {len(phases)}")
-    known = {name for runs in phases for run in runs for name in (run.preset, run.method)}
-    for name in only:
-        if name not in known:
-            raise ConfigError(f"--only {name}: is not part of this study; known are {', '.join(sorted(known))}")
-    return [
-        [run for run in runs if not only or run.preset in only or run.method in only]
-        for number, runs in zip(numbers, phases, strict=True)
-        if not phase or number in phase
-    ]
+
+    def __init__(self, study: Study, out: Path):
+        self.study, self.out = study, out
+        written = _read(out / DATA, "make it again with another --out, or restore it") if (out / DATA).exists() else {}
+        self.data: dict[str, dict[str, Any]] = {**self._data_of_records(), **written}
+
+    def path(self, job: Job) -> Path:
+        """The file of a job's record, there or not."""
+        return self.out / f"{job.name}.json"
+
+    def standing(self, job: Job) -> Standing:
+        """Whether the job's record is there, and counts.
+
+        Raises:
+            ConfigError: it cannot be read.
+        """
+        record = self.record(job)
+        if record is None:
+            return Standing(job, "missing", None)
+        found = self._differences(job, record)
+        return Standing(job, "stale" if found else "held", record, tuple(found))
+
+    def record(self, job: Job) -> Record | None:
+        """The job's record, whatever it is worth; None where there is none."""
+        path = self.path(job)
+        return _read(path, "remove the file to measure it again") if path.exists() else None
+
+    def held(self) -> list[Record]:
+        """The records of the study that count, in the order of their files' names."""
+        standings = [self.standing(job) for job in sorted(self.study.jobs(), key=self.path)]
+        return [one.record for one in standings if one.state == "held" and one.record is not None]
+
+    def write(self, job: Job, record: Mapping[str, Any]) -> Record:
+        """Keeps a record that was just measured, and returns it as it stands in its file.
+
+        Raises:
+            ConfigError: it does not say what was asked for, which is a defect of the work or of the data in its way.
+        """
+        whole = {"study": self.study.name, "command": f"odaf reproduce {self.study.name}", **record}
+        if found := self._differences(job, json.loads(json.dumps(whole))):
+            raise ConfigError(f"{self.path(job)}: what was measured is not what was asked for: {'; '.join(found)}")
+        _write(self.path(job), whole)
+        return whole
+
+    def note_log(self, log: Log, fingerprint: str) -> None:
+        """Notes under which fingerprint a log that lies in the work directory goes.
+
+        Raises:
+            ConfigError: its recipe is that of the records that are there, and its rows are not.
+        """
+        recipe, known = log.recipe(), self.data.get(log.name)
+        if known is not None and not differences(known["recipe"], recipe):
+            if fingerprint not in known["sha256"]:
+                raise ConfigError(
+                    f"{self.out}: its records of {log.name} stand on data with the fingerprint "
+                    f"{' or '.join(entry[:8] for entry in known['sha256'])}; those made here have {fingerprint[:8]}, "
+                    "as another simulator or processor makes them. Measure into a ledger of your own with --out DIR"
+                )
+        else:  # the first of this recipe: records of another one are stale by it
+            known = {"recipe": recipe, "sha256": [fingerprint]}
+        self.data[log.name] = known
+        _write(self.out / DATA, dict(sorted(self.data.items())))
+
+    def draw(self) -> None:
+        """Draws the study's tables and figures from the records that count."""
+        self.study.draw(self.held(), self.out)
+
+    def _differences(self, job: Job, record: Record) -> list[str]:
+        try:
+            recorded = job.do.recorded(record, self.data)
+        except (KeyError, TypeError) as error:
+            return [f"it is no record of this kind of work ({type(error).__name__}: {error})"]
+        return differences(recorded, job.do.identity(), job.do.unrecorded())
+
+    def _data_of_records(self) -> dict[str, dict[str, Any]]:
+        """A ledger from before `data.json`: its records are believed to stand on logs of today's recipes."""
+        found: dict[str, dict[str, Any]] = {}
+        for job in self.study.jobs():
+            log, path = job.do.log, self.path(job)
+            if log is None or not path.exists():
+                continue
+            fingerprint = _read(path, "remove the file to measure it again").get("data", {}).get("sha256")
+            entry = found.setdefault(log.name, {"recipe": log.recipe(), "sha256": []})
+            if fingerprint is not None and fingerprint not in entry["sha256"]:
+                entry["sha256"].append(fingerprint)
+        return found
 
 
-def train(study: StudyRun, work: Path, learner: Any, data: Path, evaluate: "Rollouts") -> "Run":
-    """Train a run, or go on with it: after a stop from its last checkpoint, and further when it was made for less.
-
-    Raises:
-        DivergenceError: its parameters are no longer finite numbers.
-    """
-    from odaf.runs.fit import fit, load_run, resume
-
-    directory = work / study.title
-    if (directory / "config.json").exists() and load_run(directory).config["steps"] < study.steps:
-        return resume(directory, study.steps)
-    return fit(
-        learner,
-        data,
-        steps=study.steps,
-        seeds=[study.seed],
-        directory=directory,
-        evaluate=evaluate,
-        checkpoint_every=CHECKPOINT_EVERY,
-        preset=study.preset,
-    )
+def count(standings: Iterable[Standing]) -> dict[str, int]:
+    """How many jobs are held, stale and missing."""
+    states: dict[str, int] = {"held": 0, "stale": 0, "missing": 0}
+    for standing in standings:
+        states[standing.state] += 1
+    return states
 
 
-def train_while_finite(study: StudyRun, work: Path, learner: Any, data: Path, evaluate: "Rollouts") -> "Run":
-    """`train`, but a run whose parameters are lost ends there; `run_facts` then says so.
+def stale(standings: Sequence[Standing], most: int = 2) -> list[str]:
+    """A line for each stale record, with the first fields that differ."""
+    lines = []
+    for standing in standings:
+        if standing.state == "stale":
+            shown = "; ".join(standing.differences[:most])
+            more = len(standing.differences) - most
+            lines.append(f"{standing.job.name}: {shown}{f'; and {more} more' if more > 0 else ''}")
+    return lines
 
-    Raises:
-        DivergenceError: it was lost before the first update.
-    """
-    from odaf.runs.fit import load_run
 
+def _read(path: Path, remedy: str) -> Record:
     try:
-        return train(study, work, learner, data, evaluate)
-    except DivergenceError:
-        directory = work / study.title
-        if not (directory / "config.json").exists():
-            raise
-        run = load_run(directory)
-        if run.summary[study.seed]["status"] != "diverged":
-            raise
-        return run
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise ConfigError(f"{path}: cannot be read as JSON ({error}); {remedy}") from None
+    if not isinstance(content, dict):
+        raise ConfigError(f"{path}: holds {type(content).__name__} where a table should stand; {remedy}")
+    return content
 
 
-def run_facts(study: StudyRun, run: "Run") -> dict[str, Any]:
-    """What every record keeps of a run: scores, settings, versions, data fingerprint; no path of this machine.
+def _write(path: Path, content: Mapping[str, Any]) -> None:
+    from odaf.training.files import write_json
 
-    `final` is the evaluation after the last update; it is None if the parameters were lost by then.
-    """
-    summary = run.summary[study.seed]
-    versions = json.loads((run.directory / "environment.json").read_text(encoding="utf-8"))
-    return {
-        "preset": study.preset,
-        "changes": dict(study.changes),
-        "method": study.method,
-        "seed": study.seed,
-        "steps": study.steps,
-        "updates": summary["step"],
-        "status": summary["status"],
-        "data": {"origin": LOCAL, "sha256": run.data["sha256"]},
-        "final": None if summary["status"] == "diverged" else summary["evaluation"],
-        "evaluations": [_evaluation(line) for line in run.metrics(study.seed) if "evaluation/return_mean" in line],
-        "updates_per_second": summary["updates_per_second"],
-        "seconds": summary["seconds"],
-        "pretrain": summary["pretrain"],
-        "warnings": summary["warnings"],
-        "algorithm": run.config["algorithm"],
-        "versions": {key: versions[key] for key in ("python", "versions", "device", "platform")},
-    }
-
-
-def _evaluation(line: Mapping[str, Any]) -> dict[str, Any]:
-    rates = {name: value for name, value in line.items() if name.startswith("evaluation/") and name.endswith("_rate")}
-    return {
-        "step": line["step"],
-        "mean_return": line["evaluation/return_mean"],
-        "std_return": line["evaluation/return_std"],
-        **{name.removeprefix("evaluation/"): value for name, value in rates.items()},
-    }
-
-
-def _write_record(measure: Measure, out: Path, work: Path, study: StudyRun) -> dict[str, Any]:
-    record = measure(study, work)
-    write_json(out / f"{study.name}.json", record)
-    return record
-
-
-def _score(record: Mapping[str, Any]) -> str:
-    final = record["final"]
-    if final is None:
-        return f"diverged after {record['updates']:,} updates"
-    return f"{final['mean_return']:.1f} +- {final['std_return']:.1f}"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_json(path, content)

@@ -1,31 +1,15 @@
-"""The locomotion study: learning curves of every learner on Hopper and HalfCheetah, on data recorded on the spot.
-
-One JSON file a run under the results directory and a table drawn from those files. Runs whose file is there are not
-repeated; a run that was stopped goes on from its last checkpoint.
-"""
+"""The locomotion study: learning curves of every learner on Hopper and HalfCheetah, on data recorded on the spot."""
 
 from collections.abc import Iterable, Sequence
-from pathlib import Path
 from typing import Any
 
-from odaf.errors import ConfigError
-from odaf.studies.ledger import (
-    LOCAL,
-    StudyRun,
-    chosen_phases,
-    grouped,
-    measure_missing,
-    read_records,
-    run_facts,
-    train_while_finite,
-)
+from odaf.studies.job import Phase, Record, Study
+from odaf.studies.logs import LOCAL, RecordedLog
+from odaf.studies.tables import grouped
+from odaf.studies.task import Evaluation, Task
+from odaf.studies.training import Training, phases_of
 
-TRANSITIONS = 200_000
-DATA_SEED = 0
-HIDDEN_SIZES = (256, 256)
-EVALUATE_EVERY = 5_000
-EPISODES = 10  # while a run trains
-FINAL_EPISODES = 20  # at its last checkpoint
+FINAL_EPISODES = 20  # at the last checkpoint
 STEPS = 50_000
 FEW_STEPS = 10_000
 SEEDS = 2
@@ -57,118 +41,41 @@ PAPER: tuple[Method, ...] = (("odaf-paper", ()),)
 COSTLY: tuple[Method, ...] = (("pbrl", ()), ("rorl", ()), ("odaf-rorl", ()), ("odaf-demo", ()))
 
 
-def plan() -> list[list[StudyRun]]:
-    """Every run of the study, the cheap ones that say most first: our default on Hopper, the others there, HalfCheetah,
-    parts of the default, what is costly. Within a phase every method has its first seed before any has its second."""
-
-    def runs(methods: Iterable[Method], task: str, steps: int = STEPS, seeds: int = SEEDS) -> list[StudyRun]:
-        methods = tuple(methods)
-        return [StudyRun(preset, task, seed, steps, changes) for seed in range(seeds) for preset, changes in methods]
-
-    return [
-        runs(DEFAULT, HOPPER),
-        runs((*OTHERS, *TEN_CRITICS), HOPPER),
-        runs((*DEFAULT, *OTHERS, *EDAC), HALFCHEETAH),
-        runs(PARTS, HOPPER),
-        [
-            *runs(COSTLY, HOPPER, FEW_STEPS, seeds=1),
-            *runs(EDAC, HOPPER),
-            *runs(PAPER, HOPPER),
-            *runs(PAPER, HALFCHEETAH),
-        ],
-    ]
+def locomotion_task(name: str) -> Task:
+    """Walking or hopping from 200,000 recorded transitions; every learner has networks of the same size."""
+    return Task(
+        RecordedLog(name, transitions=200_000),
+        Evaluation(every=5_000, episodes=10, final_episodes=FINAL_EPISODES),
+        score="normalised_score",
+        common=(("hidden_sizes", (256, 256)),),
+    )
 
 
-def run(
-    out: Path, workers: int = 1, only: Sequence[str] = (), phase: Sequence[int] = (), work: Path | None = None
-) -> None:
-    """Measure what is missing, then draw the table.
+def plan() -> list[Phase]:
+    """The cheap ones that say most first. Within a phase every method has its first seed before any has its second."""
 
-    Args:
-        out: directory of the records and `table.md`.
-        workers: runs at the same time, each on its own core.
-        only: presets or methods to measure; none takes all.
-        phase: phases of `plan` to measure, from 1; none takes all.
-        work: directory of data and run directories; None takes `runs/locomotion`.
+    def runs(methods: Iterable[Method], task: str, steps: int = STEPS, seeds: int = SEEDS) -> list[Training]:
+        whole, methods = locomotion_task(task), tuple(methods)
+        return [Training(preset, whole, seed, steps, changes) for seed in range(seeds) for preset, changes in methods]
 
-    Raises:
-        ConfigError: `only` or `phase` names what the study has not.
-    """
-    work = Path("runs/locomotion") if work is None else work
-    # No run goes on where another stopped, so no worker has to wait for the end of a phase.
-    runs = [job for part in chosen_phases(plan(), phase, only) for job in part]
-    measure_missing(measure, [runs], out, work, workers=workers, prepare=data_file, summarise=summarise)
-
-
-def summarise(out: Path) -> None:
-    """Draw `table.md` from the records in `out`."""
-    (out / "table.md").write_text(table(read_records(out)), encoding="utf-8")
+    return phases_of(
+        ("Hopper: our default beside behaviour cloning", runs(DEFAULT, HOPPER)),
+        ("Hopper: the other learners", runs((*OTHERS, *TEN_CRITICS), HOPPER)),
+        ("HalfCheetah: all of these", runs((*DEFAULT, *OTHERS, *EDAC), HALFCHEETAH)),
+        ("Hopper: our default with one part changed", runs(PARTS, HOPPER)),
+        (
+            "what is costly: losses over many draws, fifty critics, the paper's form",
+            [
+                *runs(COSTLY, HOPPER, FEW_STEPS, seeds=1),
+                *runs(EDAC, HOPPER),
+                *runs(PAPER, HOPPER),
+                *runs(PAPER, HALFCHEETAH),
+            ],
+        ),
+    )
 
 
-def data_file(work: Path, task: str) -> Path:
-    """The recorded set, made when it is not there yet. Its name says how large it is and from which seed."""
-    path = work / f"{task}-{TRANSITIONS}-seed{DATA_SEED}.h5"
-    if not path.exists():
-        from odaf.environments.locomotion_data import generate
-
-        path.parent.mkdir(parents=True, exist_ok=True)
-        generate(task, TRANSITIONS, DATA_SEED).save(path)
-    return path
-
-
-def learner(study: StudyRun) -> Any:
-    """The preset with its values for the task, where it has some, then networks of equal size, then the changes."""
-    from odaf.runs import presets
-
-    task = study.task if study.task in presets.tasks(study.preset) else None
-    return presets.load(study.preset, {"hidden_sizes": HIDDEN_SIZES, **dict(study.changes)}, task=task)
-
-
-def measure(study: StudyRun, work: Path) -> dict[str, Any]:
-    """Train (or continue) one run and return its record."""
-    from odaf.environments.reference_returns import reference_of
-    from odaf.evaluation import Rollouts
-    from odaf.runs.evaluate import evaluate
-
-    rollouts = Rollouts(episodes=EPISODES, every=EVALUATE_EVERY)
-    run = train_while_finite(study, work, learner(study), data_file(work, study.task), rollouts)
-    environment = run.data["environment"]["id"]
-    reference = reference_of(environment)
-    if reference is None:
-        raise ConfigError(f"{run.directory}: {environment} has no reference returns, so it has no normalised score")
-    facts = run_facts(study, run)
-    if facts["final"] is not None:
-        score = evaluate(run.directory, episodes=FINAL_EPISODES).by_seed[0]
-        facts["final"] = {
-            "step": score.step,
-            "episodes": FINAL_EPISODES,
-            "mean_return": score.mean_return,
-            "std_return": score.std_return,
-            "normalised_score": reference.normalise(score.mean_return),
-            "returns": list(score.returns),
-        }
-    for evaluation in facts["evaluations"]:
-        evaluation["normalised_score"] = reference.normalise(evaluation["mean_return"])
-    logged = run.data["summary"]["provenance"]["statistics"]
-    return {
-        "study": "locomotion",
-        "task": study.task,
-        "environment": environment,
-        "command": "odaf reproduce locomotion",
-        **facts,
-        "data": {
-            **facts["data"],
-            "same_set": f"odaf data generate {study.task} --transitions {TRANSITIONS} --seed {DATA_SEED} --out FILE",
-            "transitions": logged["transitions"],
-            "whole_episodes": logged["whole_episodes"],
-            "mean_return": logged.get("mean"),
-            "best_return": logged.get("best"),
-            "normalised_score": logged.get("normalised_mean"),
-        },
-    }
-
-
-def table(records: Sequence[dict[str, Any]]) -> str:
+def table(records: Sequence[Record]) -> str:
     """Markdown table: for every task the data, behaviour cloning, then a row for every method over its seeds."""
     lines = [
         f"Scores on {LOCAL}; last checkpoint, deterministic policy, {FINAL_EPISODES} episodes a seed. Scores are",
@@ -195,13 +102,13 @@ def table(records: Sequence[dict[str, Any]]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _rows_of(data: dict[str, Any]) -> str:
+def _rows_of(data: Record) -> str:
     """What tells one recorded set from another: figures to the last digit. A fingerprint covers the notes as well, so
     the same rows have another one once a note of how their policy was trained is worded differently."""
     return repr([data[figure] for figure in ("transitions", "whole_episodes", "mean_return", "best_return")])
 
 
-def _data_row(where: str, data: dict[str, Any]) -> str:
+def _data_row(where: str, data: Record) -> str:
     if data["mean_return"] is None:
         score = mean = "unknown"
     else:
@@ -209,7 +116,7 @@ def _data_row(where: str, data: dict[str, Any]) -> str:
     return f"{where}| the data themselves ({data['whole_episodes']:,} episodes) | | | {score} | | | {mean} | | |"
 
 
-def _row(where: str, group: Sequence[dict[str, Any]]) -> str:
+def _row(where: str, group: Sequence[Record]) -> str:
     """One method's row: `group` are its seeds."""
     from odaf.evaluation.statistics import t_interval
 
@@ -231,3 +138,11 @@ def _row(where: str, group: Sequence[dict[str, Any]]) -> str:
 
 def _mean(values: Sequence[float]) -> float:
     return sum(values) / len(values)
+
+
+STUDY = Study(
+    "locomotion",
+    "learning curves of every learner on Hopper and HalfCheetah data made on the spot",
+    plan,
+    {"table.md": table},
+)

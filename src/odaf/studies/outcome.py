@@ -1,109 +1,55 @@
 """The outcome study: what does the outcome term add where its base is stressed, with few critics?
 
 The stitching maze, ensembles of two, four and ten critics, three weights of the term; then the same question on Hopper.
-One JSON file a run under the results directory and tables drawn from those files. Runs whose file is there are not
-repeated; a run that was stopped goes on from its last checkpoint.
 """
 
 from collections.abc import Callable, Sequence
 from operator import itemgetter
-from pathlib import Path
 from typing import Any
 
-from odaf.studies import locomotion as locomotion_study
-from odaf.studies.ledger import (
-    LOCAL,
-    StudyRun,
-    chosen_phases,
-    grouped,
-    measure_missing,
-    read_records,
-    run_facts,
-    train_while_finite,
-)
-from odaf.studies.pointmaze import EPISODES, EVALUATE_EVERY, data_figures
-from odaf.studies.pointmaze import data_file as maze_file
+from odaf.studies.job import Phase, Record, Study
+from odaf.studies.locomotion import FINAL_EPISODES, HOPPER, locomotion_task
+from odaf.studies.logs import LOCAL
+from odaf.studies.pointmaze import EPISODES, maze_task
+from odaf.studies.tables import grouped
+from odaf.studies.task import Task
+from odaf.studies.training import Training, phases_of
 
-MAZE, HOPPER = "stitch", locomotion_study.HOPPER
 SEEDS = range(3)
 # Where the three seeds of four critics on Hopper all gained from weight 1: seeds that had no part in finding that.
 FRESH_SEEDS = range(3, 8)
 STEPS = 20_000
-# A phase for each: the task, its preset, the size of the ensemble, the weights of the term, and the seeds.
-PHASES = (
-    (MAZE, "odaf", 2, (0.0, 0.3, 3.0), SEEDS),
-    (MAZE, "odaf", 4, (0.0, 0.3, 3.0), SEEDS),
-    (MAZE, "odaf", 10, (0.0, 0.3, 3.0), SEEDS),
-    (HOPPER, "odaf-locomotion", 4, (0.0, 1.0, 20.0), SEEDS),
-    (HOPPER, "odaf-locomotion", 4, (0.0, 1.0), FRESH_SEEDS),
-    (HOPPER, "odaf-locomotion", 10, (0.0, 1.0, 20.0), SEEDS),
-)
 
 
-def plan() -> list[list[StudyRun]]:
+def plan() -> list[Phase]:
     """A phase for every task and size of the ensemble, the smallest first; all weights of a seed come together."""
-    return [
-        [
-            StudyRun(preset, task, seed, STEPS, (("num_critics", critics), ("outcome.weight", weight)))
+
+    def runs(preset: str, task: Task, critics: int, weights: Sequence[float], seeds: range) -> list[Training]:
+        return [
+            Training(
+                preset,
+                task,
+                seed,
+                STEPS,
+                (("num_critics", critics), ("outcome.weight", weight)),
+                notes=(("critics", critics), ("weight", weight)),
+            )
             for seed in seeds
             for weight in weights
         ]
-        for task, preset, critics, weights, seeds in PHASES
-    ]
+
+    maze, hopper = ("odaf", maze_task("stitch")), ("odaf-locomotion", locomotion_task(HOPPER))
+    return phases_of(
+        ("the maze, two critics", runs(*maze, 2, (0.0, 0.3, 3.0), SEEDS)),
+        ("the maze, four critics", runs(*maze, 4, (0.0, 0.3, 3.0), SEEDS)),
+        ("the maze, ten critics", runs(*maze, 10, (0.0, 0.3, 3.0), SEEDS)),
+        ("Hopper, four critics", runs(*hopper, 4, (0.0, 1.0, 20.0), SEEDS)),
+        ("Hopper, four critics, fresh seeds", runs(*hopper, 4, (0.0, 1.0), FRESH_SEEDS)),
+        ("Hopper, ten critics", runs(*hopper, 10, (0.0, 1.0, 20.0), SEEDS)),
+    )
 
 
-def run(out: Path, workers: int = 1, phase: Sequence[int] = (), work: Path | None = None) -> None:
-    """Measure what is missing, then draw the tables.
-
-    Args:
-        out: directory of the records and `table.md`.
-        workers: runs at the same time, each on its own core.
-        phase: phases of `plan` to measure, from 1; none takes all.
-        work: directory of data and run directories; None takes `runs/outcome`.
-
-    Raises:
-        ConfigError: `phase` names one that the study has not.
-    """
-    work = Path("runs/outcome") if work is None else work
-    # No run goes on where another stopped, so no worker has to wait for the end of a phase.
-    runs = [job for part in chosen_phases(plan(), phase) for job in part]
-    measure_missing(measure, [runs], out, work, workers=workers, prepare=data_file, summarise=summarise)
-
-
-def summarise(out: Path) -> None:
-    """Draw `table.md` from the records in `out`."""
-    (out / "table.md").write_text(table(read_records(out)), encoding="utf-8")
-
-
-def data_file(work: Path, task: str) -> Path:
-    """The task's log, made when it is not there yet."""
-    return maze_file(work, task) if task == MAZE else locomotion_study.data_file(work, task)
-
-
-def measure(study: StudyRun, work: Path) -> dict[str, Any]:
-    """Train (or continue) one run and return its record."""
-    changes = dict(study.changes)
-    record = _measure_maze(study, work) if study.task == MAZE else locomotion_study.measure(study, work)
-    return record | {
-        "study": "outcome",
-        "critics": changes["num_critics"],
-        "weight": changes["outcome.weight"],
-        "command": "odaf reproduce outcome",
-    }
-
-
-def _measure_maze(study: StudyRun, work: Path) -> dict[str, Any]:
-    from odaf.evaluation import Rollouts
-    from odaf.runs import presets
-
-    rollouts = Rollouts(episodes=EPISODES, every=EVALUATE_EVERY)
-    learner = presets.load(study.preset, dict(study.changes))
-    run = train_while_finite(study, work, learner, maze_file(work, study.task), rollouts)
-    facts = run_facts(study, run)
-    return {"maze": study.task, **facts, "data": {**facts["data"], **data_figures(run, study.task)}}
-
-
-def table(records: Sequence[dict[str, Any]]) -> str:
+def table(records: Sequence[Record]) -> str:
     """Markdown: for each task a row for every ensemble and weight over its seeds, with the gain over weight 0."""
     maze = [record for record in records if "maze" in record]
     hopper = [record for record in records if "maze" not in record]
@@ -129,7 +75,7 @@ def table(records: Sequence[dict[str, Any]]) -> str:
         lines += [
             "",
             f"**{task}** ({environment}), preset `odaf-locomotion` but for critics and weight,",
-            f"{locomotion_study.FINAL_EPISODES} episodes a seed, normalised scores.",
+            f"{FINAL_EPISODES} episodes a seed, normalised scores.",
             f"Data ({LOCAL}): {data['transitions']:,} transitions, mean score {data['normalised_score']:.1f}.",
             "",
             *_rows([record for record in hopper if record["seed"] in SEEDS], "score", itemgetter("normalised_score")),
@@ -145,10 +91,10 @@ def table(records: Sequence[dict[str, Any]]) -> str:
     return "\n".join(lines) + "\n"
 
 
-Figure = Callable[[dict[str, Any]], float]  # of a record's final evaluation
+Figure = Callable[[Record], float]  # of a record's final evaluation
 
 
-def _rows(records: Sequence[dict[str, Any]], name: str, result: Figure, stitched: Figure | None = None) -> list[str]:
+def _rows(records: Sequence[Record], name: str, result: Figure, stitched: Figure | None = None) -> list[str]:
     """The table of one task, and beneath it the runs that have no result."""
     titles = ["critics", "weight", "updates", "seeds", name, "95 % interval", "worst seed"]
     titles += ["stitched"] if stitched else []
@@ -195,3 +141,11 @@ def _gain(results: dict[int, float], base: dict[int, float]) -> str:
 
 def _interval(estimate: Any, form: str) -> str:
     return f"[{estimate.low:{form}}, {estimate.high:{form}}]" if estimate.count > 1 else "one seed"
+
+
+STUDY = Study(
+    "outcome",
+    "what the outcome term adds in the maze with two, four and ten critics, and on Hopper",
+    plan,
+    {"table.md": table},
+)

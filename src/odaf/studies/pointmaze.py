@@ -1,8 +1,4 @@
-"""The stitching study: who finds the path that no demonstration took, and does it last?
-
-One JSON file a run under the results directory, a table and a figure drawn from those files. Runs whose file is there
-are not repeated; a run that was stopped goes on from its last checkpoint.
-"""
+"""The stitching study: who finds the path that no demonstration took, and does it last?"""
 
 from collections.abc import Sequence
 from operator import itemgetter
@@ -11,63 +7,63 @@ from typing import Any
 
 import numpy as np
 
-from odaf.studies.ledger import LOCAL, StudyRun, grouped, measure_missing, read_records, run_facts, train
+from odaf.studies.job import Phase, Record, Study
+from odaf.studies.logs import LOCAL, MazeLog
+from odaf.studies.tables import grouped
+from odaf.studies.task import Evaluation, Task
+from odaf.studies.training import Training, phases_of
 
-DATA_SEED = 0
 EPISODES = 50
-EVALUATE_EVERY = 5_000
 
 
-def plan() -> list[list[StudyRun]]:
-    """Every run of the study, in phases: a longer run goes on where the same one of an earlier phase stopped."""
-
-    def runs(preset: str, maze: str, seeds: int, steps: int, **changes: Any) -> list[StudyRun]:
-        return [StudyRun(preset, maze, seed, steps, tuple(changes.items())) for seed in range(seeds)]
-
-    return [
-        [
-            *runs("odaf", "stitch", 4, 20_000),
-            *runs("behaviour-cloning", "stitch", 4, 20_000),
-            *runs("odaf", "shaft", 2, 20_000, return_steps=5),
-            *runs("odaf", "stitch", 4, 20_000, return_steps=5),
-            *runs("odaf", "stitch", 4, 20_000, return_steps=3),
-            *runs("odaf", "shaft", 2, 20_000, return_steps=3),
-            *runs("odaf", "shaft", 2, 20_000),
-            *runs("odaf", "crossroads", 2, 20_000),
-            *runs("odaf-without-outcome", "stitch", 4, 20_000),
-            *runs("behaviour-cloning", "shaft", 2, 20_000),
-            *runs("behaviour-cloning", "crossroads", 2, 20_000),
-            *runs("odaf-paper", "stitch", 2, 10_000),
-            *runs("odaf", "stitch", 4, 20_000, products="bfloat16"),
-        ],
-        [
-            *runs("odaf", "stitch", 2, 50_000),
-            *runs("odaf-without-outcome", "stitch", 2, 50_000),
-            *runs("odaf-paper", "stitch", 2, 20_000),
-        ],
-    ]
+def maze_task(maze: str) -> Task:
+    """Finding the good path of a maze from the log of drivers who never took it."""
+    return Task(MazeLog(maze, episodes=EPISODES), Evaluation(every=5_000, episodes=EPISODES), field="maze")
 
 
-def run(out: Path, workers: int = 1, work: Path | None = None) -> None:
-    """Measure what is missing, then draw the table and the figure.
+def plan() -> list[Phase]:
+    """Our default beside its base and cloning first, what is costly last."""
 
-    Args:
-        out: directory of the records, `table.md` and `figure.png`.
-        workers: runs at the same time, each on its own core.
-        work: directory of data and run directories; None takes `runs/pointmaze`.
-    """
-    work = Path("runs/pointmaze") if work is None else work
-    measure_missing(_measure, plan(), out, work, workers=workers, prepare=data_file, summarise=summarise)
+    def runs(preset: str, maze: str, seeds: int, steps: int, **changes: Any) -> list[Training]:
+        return [Training(preset, maze_task(maze), seed, steps, tuple(changes.items())) for seed in range(seeds)]
+
+    return phases_of(
+        (
+            "the stitching maze: our default, its base without the outcome term, cloning",
+            [
+                *runs("odaf", "stitch", 4, 20_000),
+                *runs("odaf-without-outcome", "stitch", 4, 20_000),
+                *runs("behaviour-cloning", "stitch", 4, 20_000),
+            ],
+        ),
+        (
+            "two other mazes: our default, cloning",
+            [
+                *runs("odaf", "shaft", 2, 20_000),
+                *runs("behaviour-cloning", "shaft", 2, 20_000),
+                *runs("odaf", "crossroads", 2, 20_000),
+                *runs("behaviour-cloning", "crossroads", 2, 20_000),
+            ],
+        ),
+        (
+            "targets over three and five steps",
+            [
+                *runs("odaf", "stitch", 4, 20_000, return_steps=3),
+                *runs("odaf", "stitch", 4, 20_000, return_steps=5),
+                *runs("odaf", "shaft", 2, 20_000, return_steps=3),
+                *runs("odaf", "shaft", 2, 20_000, return_steps=5),
+            ],
+        ),
+        ("rounded products", runs("odaf", "stitch", 4, 20_000, products="bfloat16")),
+        (
+            "does it last? longer runs of the first phase",
+            [*runs("odaf", "stitch", 2, 50_000), *runs("odaf-without-outcome", "stitch", 2, 50_000)],
+        ),
+        ("as printed", [*runs("odaf-paper", "stitch", 2, 10_000), *runs("odaf-paper", "stitch", 2, 20_000)]),
+    )
 
 
-def summarise(out: Path) -> None:
-    """Draw `table.md` and `figure.png` from the records in `out`."""
-    records = read_records(out)
-    (out / "table.md").write_text(table(records), encoding="utf-8")
-    _figure(records, out / "figure.png")
-
-
-def table(records: Sequence[dict[str, Any]]) -> str:
+def table(records: Sequence[Record]) -> str:
     """Markdown table: a row for every maze, method and length, over its seeds."""
     from odaf.evaluation.statistics import t_interval
 
@@ -104,11 +100,12 @@ def table(records: Sequence[dict[str, Any]]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _figure(records: Sequence[dict[str, Any]], out: Path) -> None:
+def figure(records: Sequence[Record], out: Path) -> None:
+    """Learning curves of every method in the stitching maze, the longest run of each seed, drawn to `out`."""
     from odaf.report.figures import learning_curves_figure
     from odaf.report.quantities import Curve
 
-    longest: dict[tuple[str, int], dict[str, Any]] = {}
+    longest: dict[tuple[str, int], Record] = {}
     for record in records:
         if record["maze"] != "stitch":
             continue
@@ -132,46 +129,10 @@ def _figure(records: Sequence[dict[str, Any]], out: Path) -> None:
     learning_curves_figure(curves, out, references, title="Stitching maze", note=LOCAL)
 
 
-def data_file(work: Path, maze: str) -> Path:
-    """The maze's logged episodes, generated when they are not there yet."""
-    path = work / f"{maze}.h5"
-    if not path.exists():
-        from odaf.environments.stitch_data import CONFIGS, generate
-
-        path.parent.mkdir(parents=True, exist_ok=True)
-        generate(CONFIGS[maze], seed=DATA_SEED).save(path)
-    return path
-
-
-def data_figures(run: Any, maze: str) -> dict[str, Any]:
-    """What a record keeps of the data: their returns, and what the scripted driver earns who is sent straight to the
-    goal's cell (`direct_return`) or to the hidden target (`ceiling`)."""
-    from odaf.environments.stitch_data import CONFIGS, direct_controller_return
-
-    summary = run.data["summary"]
-    direct, ceiling = (
-        float(direct_controller_return(CONFIGS[maze], EPISODES, knows_target=knows).mean()) for knows in (False, True)
-    )
-    return {
-        **{key: summary[key] for key in ("transitions", "episodes", "mean_return", "best_return")},
-        "direct_return": direct,
-        "ceiling": ceiling,
-    }
-
-
-def _measure(study: StudyRun, work: Path) -> dict[str, Any]:
-    """Train (or continue) one run and return its record."""
-    from odaf.evaluation import Rollouts
-    from odaf.runs import presets
-
-    learner = presets.load(study.preset, dict(study.changes))
-    evaluate = Rollouts(episodes=EPISODES, every=EVALUATE_EVERY)
-    run = train(study, work, learner, data_file(work, study.task), evaluate)
-    facts = run_facts(study, run)
-    return {
-        "study": "pointmaze",
-        "maze": study.task,
-        "command": "odaf reproduce pointmaze",
-        **facts,
-        "data": {**facts["data"], **data_figures(run, study.task)},
-    }
+STUDY = Study(
+    "pointmaze",
+    "stitching in a maze: our default, its base without the outcome term, the paper's form, cloning",
+    plan,
+    {"table.md": table},
+    {"figure.png": figure},
+)

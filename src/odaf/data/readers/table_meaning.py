@@ -128,19 +128,18 @@ class Meaning:
         if self.lags < 0:
             raise DatasetError(f"{source}: lags is {self.lags}; give the number of earlier rows to see, 0 or more")
         if self.next_observations is not None:
-            self._check_successors(source)
+            self._check_successors(source, self.next_observations)
 
-    def _check_successors(self, source: str) -> None:
-        assert self.next_observations is not None
-        if len(self.next_observations) != len(self.observations):
+    def _check_successors(self, source: str, successors: Sequence[str]) -> None:
+        if len(successors) != len(self.observations):
             raise DatasetError(
-                f"{source}: next_observations names {len(self.next_observations)} columns, observations "
+                f"{source}: next_observations names {len(successors)} columns, observations "
                 f"{len(self.observations)}; name the same quantities in the same order"
             )
-        if self.lags or self.differences:
+        if self.lags or self.differences or any(map(expressions.named, self.observations)):
             raise DatasetError(
-                f"{source}: next_observations= gives successors without lags and differences; leave it out, then the "
-                "next row of the episode is taken"
+                f"{source}: next_observations= gives successors without formulas, lags and differences; leave it out, "
+                "then the next row of the episode is taken"
             )
 
 

@@ -89,7 +89,7 @@ def as_flags(cells: Cells, holes: Holes | None = None) -> np.ndarray:
         refuse_type(cells)
     if odd.any():
         remedies = ["use true and false, or 1 and 0", "derive the flag"]
-        if cells.units_row and odd[0] and int(odd.sum()) < len(odd):
+        if odd[0] and table_text.begins_with_a_unit(cells):
             remedies.insert(0, "pass units_row=True if that row holds units")
         refuse(cells, odd, "is neither true nor false", *remedies)
     missing = refuse_missing(cells, values, "write true or false into every row", holes)

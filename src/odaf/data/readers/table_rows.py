@@ -103,8 +103,6 @@ def add_history(source: str, derivation: Derivation, rows: TableRows) -> None:
     flags = [columns[field] for field in ("terminated", "truncated") if field in columns]
     ends = np.logical_or.reduce(flags) if flags else None
     first = row_order.first_rows(columns.get("episode"), ends, len(rows))
-    if "episode" in columns and ends is not None:
-        first |= np.append(False, ends[:-1])
     columns["observations"], known = derivation.of_log(columns["observations"], columns["actions"], first)
     rows.observation_names.update({name: name for name in names if name not in rows.observation_names})
     if known.all():

@@ -12,6 +12,7 @@ FALSE = ("false", "f", "no", "n", "off", "falsch", "faux")
 
 # 1.234 and 1.234.567,8: with a decimal comma the points part thousands, without one they do not.
 _THOUSANDS = r"^[+-]?[1-9]\d{0,2}(\.\d{3})+(,\d*)?$"
+_NUMBER = r"[+-]?[\d.,]*\d[\d.,]*(?:[eE][+-]?\d+)?"
 _NUMBER_WITH_COMMA = re.compile(r"[+-]?\d*,\d+(?:[eE][+-]?\d+)?")
 # `3 days 01:02:03.5` as data frames write it, `01:02:03.5`, `01:02`, and `PT1H2M3.5S` as in ISO 8601.
 _CLOCK = r"^([+-])?(?:(\d+) days?,? ?)?(\d+):(\d\d)(?::(\d\d(?:\.\d*)?))?$"
@@ -95,6 +96,12 @@ def moments_of(cells: Cells, format: str | None) -> pl.Series:
     return result
 
 
+def begins_with_a_unit(cells: Cells) -> bool:
+    """Whether a number stands in the second row, in whatever spelling, and none in the first."""
+    first = [re.fullmatch(_NUMBER, (text or "").strip()) for text in cells.values.head(2).to_list()]
+    return cells.units_row and cells.values.dtype == pl.String and len(first) == 2 and not first[0] and bool(first[1])
+
+
 def floats_of(text: pl.Series, decimal_comma: bool) -> pl.Series:
     """Text as Float64; null where it is no number."""
     point = text.str.replace(",", ".", literal=True) if decimal_comma else text
@@ -132,7 +139,7 @@ def _refuse_numbers(cells: Cells, text: pl.Series, wrong: pl.Series, meaning: st
         remedies = ["it looks like a list: write one column for each number, or a Parquet file with a column of lists"]
     elif _NUMBER_WITH_COMMA.fullmatch(first) and not cells.decimal_comma:
         remedies.insert(0, "it looks like a decimal comma: pass decimal_comma=True")
-    elif cells.units_row and wrong[0] and int(wrong.sum()) < len(wrong):
+    elif wrong[0] and begins_with_a_unit(cells):
         remedies.insert(0, "pass units_row=True if that row holds units")
     elif re.fullmatch(r"[^\W\d][\w /.#-]*|#\S+", first):
         remedies.insert(1, f'pass missing_values=["{first}"] if it stands for a missing value')

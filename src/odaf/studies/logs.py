@@ -1,0 +1,155 @@
+"""The logs that studies learn from: scripted drivers in a maze, and locomotion sets recorded on the spot."""
+
+import json
+from dataclasses import dataclass
+from functools import cache
+from hashlib import sha256
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from odaf.errors import ConfigError
+from odaf.studies.job import Log
+
+if TYPE_CHECKING:
+    from odaf.environments.stitch_config import StitchConfig
+    from odaf.evaluation.runs import Run
+
+LOCAL = "locally generated data"
+
+
+@dataclass(frozen=True)
+class MazeLog(Log):
+    """Poor demonstrations in a maze, each cell of the good path visited, the path itself never driven.
+
+    Attributes:
+        maze: name in `stitch_config.CONFIGS`.
+        seed: of the drivers.
+        repeats: episodes of each route in place of the configuration's, for a small log; None keeps those.
+        episodes: starts over which the scripted drivers of `figures` are averaged.
+    """
+
+    maze: str
+    seed: int = 0
+    repeats: int | None = None
+    episodes: int = 50
+
+    @property
+    def name(self) -> str:
+        return self.maze
+
+    def config(self) -> "StitchConfig":
+        """What is driven."""
+        from odaf.environments.stitch_config import CONFIGS
+
+        return CONFIGS[self.maze] if self.repeats is None else CONFIGS[self.maze].with_repeats(self.repeats)
+
+    def recipe(self) -> dict[str, Any]:
+        from odaf.training.files import plain
+
+        config = {key: value for key, value in self.config().to_dict().items() if key != "accept"}
+        return plain({"kind": "maze", "version": 1, "seed": self.seed, "config": config})
+
+    def make(self, path: Path) -> None:
+        from odaf.environments.stitch_data import generate
+
+        generate(self.config(), seed=self.seed).save(path)
+
+    def figures(self, run: "Run") -> dict[str, Any]:
+        """What a record keeps of the data: their returns, and what the scripted driver earns who is sent straight to
+        the goal's cell (`direct_return`) or to the hidden target (`ceiling`)."""
+        summary, (direct, ceiling) = run.data["summary"], _direct_returns(self.maze, self.repeats, self.episodes)
+        return {
+            **{key: summary[key] for key in ("transitions", "episodes", "mean_return", "best_return")},
+            "direct_return": direct,
+            "ceiling": ceiling,
+        }
+
+
+@cache
+def _direct_returns(maze: str, repeats: int | None, episodes: int) -> tuple[float, float]:
+    from odaf.environments.stitch_data import direct_controller_return
+
+    config = MazeLog(maze, repeats=repeats).config()
+    direct, ceiling = (
+        float(direct_controller_return(config, episodes, knows_target=knows).mean()) for knows in (False, True)
+    )
+    return direct, ceiling
+
+
+@dataclass(frozen=True)
+class RecordedLog(Log):
+    """A locomotion set, recorded by the policies that come with the package.
+
+    Attributes:
+        set_name: as in `hopper-medium`.
+        transitions: rows.
+        seed: of starts and actions.
+    """
+
+    set_name: str
+    transitions: int = 200_000
+    seed: int = 0
+
+    @property
+    def name(self) -> str:
+        return self.set_name
+
+    def recipe(self) -> dict[str, Any]:
+        return {
+            "kind": "recorded",
+            "version": 1,
+            "set": self.set_name,
+            "transitions": self.transitions,
+            "seed": self.seed,
+            "policies_sha256": policies_print(self.set_name),
+        }
+
+    def make(self, path: Path) -> None:
+        from odaf.environments.locomotion_data import generate
+
+        generate(self.set_name, self.transitions, self.seed).save(path)
+
+    def figures(self, run: "Run") -> dict[str, Any]:
+        """What a record keeps of the data: the returns of their whole episodes, and how to make them again."""
+        logged = run.data["summary"]["provenance"]["statistics"]
+        made = f"odaf data generate {self.set_name} --transitions {self.transitions} --seed {self.seed} --out FILE"
+        return {
+            "same_set": made,
+            "transitions": logged["transitions"],
+            "whole_episodes": logged["whole_episodes"],
+            "mean_return": logged.get("mean"),
+            "best_return": logged.get("best"),
+            "normalised_score": logged.get("normalised_mean"),
+        }
+
+
+@cache
+def policies_print(set_name: str) -> str | None:
+    """A fingerprint of the policies that play in the sets of a task; None where they are not shipped, "none" where
+    actions are drawn uniformly.
+
+    It covers what they do, their parameters, spreads and turns; not the notes of how they were trained.
+    """
+    from odaf.environments.locomotion_data import split_name
+    from odaf.environments.shipped_policies import shipped
+
+    task, kind = split_name(set_name)
+    if kind == "random":
+        return "none"
+    try:
+        policies = shipped(task)
+    except ConfigError:
+        return None
+    needed = {"medium-replay": [policies.replay], "medium-expert": [policies.medium, policies.expert]}
+    if not all(needed.get(kind, [getattr(policies, kind, None)])):
+        return None
+    digest = sha256()
+    for steps, policy in [
+        (0, policies.medium),
+        (0, policies.expert),
+        *((phase.steps, phase.policy) for phase in policies.replay),
+    ]:
+        digest.update(json.dumps([steps, None if policy is None else policy.spread]).encode())
+        for array in () if policy is None else (*policy.weights, *policy.biases):
+            digest.update(f"{array.dtype}{array.shape}".encode() + array.tobytes())
+    return digest.hexdigest()

@@ -1,0 +1,9 @@
+"""The studies by name; one more is one more entry."""
+
+from odaf.studies.generators import STUDY as GENERATORS
+from odaf.studies.job import Study
+from odaf.studies.locomotion import STUDY as LOCOMOTION
+from odaf.studies.outcome import STUDY as OUTCOME
+from odaf.studies.pointmaze import STUDY as POINTMAZE
+
+STUDIES: dict[str, Study] = {study.name: study for study in (POINTMAZE, OUTCOME, LOCOMOTION, GENERATORS)}

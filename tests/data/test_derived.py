@@ -1,0 +1,207 @@
+"""Observations made of readings: the same in the log and at work."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+import pytest
+
+from odaf.data import Dataset
+from odaf.data.derived import Derivation
+from odaf.data.readers import tables
+from odaf.errors import DatasetError
+
+ROWS = 60
+FORMULAS = ["error = level - setpoint", "square = error * error", "hot = temperature > 20"]
+
+
+def plant() -> pl.DataFrame:
+    """Three shifts of 20 rows, in numbers that float32 rounds."""
+    rng = np.random.default_rng(0)
+    return pl.DataFrame(
+        {
+            "shift": np.arange(ROWS) // 20,
+            "level": rng.normal(size=ROWS),
+            "setpoint": rng.normal(size=ROWS),
+            "temperature": 20.0 + rng.normal(size=ROWS),
+            "valve": rng.uniform(0, 100, ROWS),
+            "pump": rng.uniform(0, 1, ROWS),
+        }
+    )
+
+
+def read(frame: Any = None, **options: Any) -> Any:
+    given = {
+        "observations": ["level", *FORMULAS, "temperature"],
+        "actions": ["valve", "pump"],
+        "reward": "1 - abs(error)",
+    }
+    given |= {"episode": "shift", "reward": "1 - abs(level - setpoint)"} | options
+    return tables.from_frame(plant() if frame is None else frame, **given)
+
+
+def column(log: Any, field: str) -> np.ndarray:
+    return np.asarray(log.columns[field])
+
+
+def test_formulas_as_reward_and_observations():
+    frame, log = plant(), read()
+    level, setpoint, temperature = (frame[name].to_numpy() for name in ("level", "setpoint", "temperature"))
+    error = level - setpoint
+    expected = np.stack([level, error, error * error, temperature > 20, temperature], 1).astype(np.float32)
+    np.testing.assert_array_equal(column(log, "observations"), expected)
+    np.testing.assert_array_equal(column(log, "rewards"), (1.0 - np.abs(error)).astype(np.float32))
+    assert log.observation_names == ("level", "error", "square", "hot", "temperature")
+    assert log.provenance["derived"] == [
+        {"recipe": "readings", "columns": ["level"]},
+        {"recipe": "expression", "name": "error", "expression": "level - setpoint"},
+        {"recipe": "expression", "name": "square", "expression": "error * error"},
+        {"recipe": "expression", "name": "hot", "expression": "temperature > 20"},
+        {"recipe": "readings", "columns": ["temperature"]},
+        {"recipe": "reward", "expression": "1 - abs(level - setpoint)"},
+    ]
+    assert "setpoint" not in log.provenance["columns_not_read"]
+
+
+@pytest.mark.parametrize("lags", [0, 1, 3])
+@pytest.mark.parametrize("differences", [False, True])
+def test_earlier_rows_and_changes_stay_inside_their_episode(lags: int, differences: bool):
+    frame, history = plant(), max(lags, int(differences))
+    log = read(observations=["level", "temperature"], lags=lags, differences=differences)
+    rows = np.array([row for row in range(ROWS) if row % 20 >= history])
+    own = frame.select("level", "temperature").to_numpy().astype(np.float32)
+    acted = frame.select("valve", "pump").to_numpy().astype(np.float32)
+    parts = [own[rows]]
+    names = ["level", "temperature"]
+    if differences:
+        parts.append(own[rows] - own[rows - 1])
+        names += ["level_change", "temperature_change"]
+    for lag in range(1, lags + 1):
+        parts += [own[rows - lag], acted[rows - lag]]
+        names += [f"{name}_lag{lag}" for name in ("level", "temperature", "valve", "pump")]
+    np.testing.assert_array_equal(column(log, "observations"), np.concatenate(parts, axis=1))
+    np.testing.assert_array_equal(column(log, "actions"), acted[rows])
+    assert log.observation_names == tuple(names) and np.asarray(log.row_numbers).tolist() == rows.tolist()
+    found = {finding["finding"]: finding["count"] for finding in log.findings}
+    assert found.get("rows-without-history", 0) == 3 * history
+
+
+def test_units_go_with_what_was_made_of_a_column():
+    log = read(observations=["level"], lags=1, differences=True, units={"level": "m", "valve": "%"})
+    assert log.observation_units == ("m", "m", "m", "%", "")
+
+
+def replayed(log: Any, frame: pl.DataFrame) -> np.ndarray:
+    """Observations as they arise at work, step by step, for the rows of the log."""
+    provenance = json.loads(json.dumps(dict(log.provenance)))
+    derivation = Derivation.from_provenance(provenance)
+    assert derivation is not None and derivation.names == log.observation_names
+    found, shift, state = [], None, derivation.begin()
+    for row in frame.iter_rows(named=True):
+        if row["shift"] != shift:
+            shift, state = row["shift"], derivation.begin()
+        observation, state = derivation.step(row, state)
+        if observation is not None:
+            found.append(observation)
+        state = derivation.acted({"valve": row["valve"], "pump": row["pump"]}, state)
+    return np.stack(found)
+
+
+@pytest.mark.parametrize("options", [{}, {"lags": 2}, {"differences": True}, {"lags": 3, "differences": True}])
+@pytest.mark.parametrize("form", ["frame", "csv"])
+def test_at_work_the_readings_give_the_very_observations_of_the_log(form: str, options: dict[str, Any], tmp_path: Path):
+    frame = plant()
+    if form == "csv":
+        frame.write_csv(tmp_path / "log.csv")
+        roles = {
+            "observations": ["level", *FORMULAS],
+            "actions": ["valve", "pump"],
+            "reward": "level",
+            "episode": "shift",
+        }
+        log = tables.read(tmp_path / "log.csv", **roles, **options)
+    else:
+        log = read(**options)
+    seen = replayed(log, frame)
+    assert seen.dtype == np.float32
+    np.testing.assert_array_equal(seen, column(log, "observations"))
+
+
+def test_the_recipes_go_with_the_data(tmp_path: Path):
+    dataset = Dataset.from_log(read(lags=1))
+    dataset.save(tmp_path / "log.h5")
+    train, _ = Dataset.load(tmp_path / "log.h5").split(0.4)
+    for provenance in (dataset.provenance, train.provenance):
+        derivation = Derivation.from_provenance(provenance)
+        assert derivation is not None and derivation.lags == 1 and derivation.names == dataset.observation_names
+    assert Derivation.from_provenance(Dataset.from_log(read(observations=["level"])).provenance) is None
+
+
+def test_what_is_missing_at_work_is_named():
+    derivation = Derivation.from_provenance(dict(read(lags=1).provenance))
+    assert derivation is not None and derivation.readings == ("level", "setpoint", "temperature")
+    readings = {"level": 1.0, "setpoint": 1.0, "temperature": 20.0}
+    with pytest.raises(DatasetError, match="reading 'setpoint' is missing; give level, setpoint, temperature"):
+        derivation.step({"level": 1.0, "temperature": 1.0}, derivation.begin())
+    with pytest.raises(DatasetError, match="reading 'level' is not a finite number"):
+        derivation.step({**readings, "level": np.nan}, derivation.begin())
+    with pytest.raises(DatasetError, match="reading 'level' is 'Bad', which is no single number"):
+        derivation.step({**readings, "level": "Bad"}, derivation.begin())
+    nothing, state = derivation.step(readings, derivation.begin())
+    assert nothing is None
+    with pytest.raises(DatasetError, match="the action of the step before is part of this observation"):
+        derivation.step(readings, state)
+    with pytest.raises(DatasetError, match="action 'pump' is missing; give valve, pump"):
+        derivation.acted({"valve": 1.0}, state)
+    with pytest.raises(DatasetError, match="give a number for each of valve, pump"):
+        derivation.acted([1.0, np.inf], state)
+    observation, _ = derivation.step(readings, derivation.acted([1.0, 2.0], state))
+    assert observation is not None and observation[-2:].tolist() == [1.0, 2.0]
+    with pytest.raises(DatasetError, match="recipe 'wavelet' is unknown to this version"):
+        Derivation.from_provenance({"derived": [{"recipe": "wavelet"}]})
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (
+            {"observations": ["gap = level - setpiont"]},
+            "frame: expression 'level - setpiont': column 'setpiont' not found; did",
+        ),
+        ({"observations": ["level = level - 1"]}, "there is a column 'level' already; give it another name"),
+        ({"observations": ["e = level", "e = setpoint"]}, "there is a column 'e' already"),
+        ({"observations": ["late = soon", "soon = level"]}, "column 'soon' not found"),
+        ({"observations": ["level", "level_lag1 = setpoint"], "lags": 1}, "observation 'level_lag1' is there twice"),
+        ({"reward": "1 - abs(levle)"}, "frame: expression '1 - abs.levle.': column 'levle' not found"),
+        ({"reward": "cost"}, "frame: column 'cost' not found"),
+        ({"lags": -1}, "lags is -1; give the number of earlier rows"),
+        ({"lags": 20}, "no episode is longer than 20 rows"),
+        (
+            {"observations": ["x = 1 / (level - level)"]},
+            r"expression 'x = 1 / .*' is infinite in 60 of 60 rows.*level 0.1257",
+        ),
+        ({"observations": ["x = ln(level)"]}, r"column 'x = ln.level.' has no value .*on_missing"),
+        ({"reward": "shift - shift / 0"}, "is infinite"),
+        (
+            {"observations": ["level"], "next_observations": ["setpoint"], "lags": 1},
+            "next_observations= gives successors without formulas, lags and differences; leave it out",
+        ),
+        (
+            {"observations": ["e = level - setpoint"], "next_observations": ["setpoint"]},
+            "next_observations= .*leave it out",
+        ),
+    ],
+)
+def test_what_cannot_be_derived(options: dict[str, Any], message: str):
+    with pytest.raises(DatasetError, match=message):
+        read(**options)
+
+
+def test_what_cannot_be_computed_is_missing():
+    frame = plant()
+    log = read(observations=["x = sqrt(level)"], on_missing="break")
+    assert len(log) == int((frame["level"].to_numpy() >= 0).sum())
+    (finding,) = (entry for entry in log.findings if entry["finding"] == "missing-cells")
+    assert finding["count"] == ROWS - len(log) and "by column: x" in finding["message"]

@@ -1,0 +1,34 @@
+"""The ledgers that come with the code: every record counts today, and the tables are drawn from them byte for byte."""
+
+from pathlib import Path
+
+import pytest
+
+from odaf.studies.ledger import Ledger, stale
+from odaf.studies.registry import STUDIES
+
+RESULTS = Path(__file__).parents[2] / "results"
+
+
+@pytest.mark.parametrize("name", STUDIES)
+def test_tables_are_redrawn_byte_for_byte(name: str) -> None:
+    study, out = STUDIES[name], RESULTS / name
+    ledger = Ledger(study, out)
+    standings = [ledger.standing(job) for job in study.jobs()]
+    assert stale(standings) == []
+    records = ledger.held()
+    assert records
+    written = {path.stem for path in out.glob("*.json")} - {"data"}
+    assert written == {
+        one.job.name for one in standings if one.state == "held"
+    }  # nothing lies there that no plan names
+    for file, table in study.tables.items():
+        assert table(records) == (out / file).read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("name", ["pointmaze", "outcome", "locomotion"])
+def test_the_logs_of_every_ledger_are_known(name: str) -> None:
+    logs = {job.do.log.name: job.do.log for job in STUDIES[name].jobs() if job.do.log is not None}
+    entries = Ledger(STUDIES[name], RESULTS / name).data
+    assert (RESULTS / name / "data.json").exists()
+    assert {log: entries[log]["recipe"] for log in logs} == {name: log.recipe() for name, log in logs.items()}
