@@ -12,6 +12,7 @@ import jax.random as jr
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from odaf.algorithms.base import Metrics
+from odaf.algorithms.numbers import Numbers, joined, split
 from odaf.algorithms.terms.base import Context
 from odaf.algorithms.terms.outcome_penalty import OutcomePenalty
 from odaf.components.dynamics import DynamicsModel
@@ -25,8 +26,8 @@ SPEC = Spec(11, 3, (-1.0,) * 3, (1.0,) * 3, 0.0, 1.0, False, 1000)
 PROBLEM = {"hidden_sizes": (256, 256, 256), "num_critics": 10, "batch_size": 256}
 ROWS = 200_000
 
-# (state, batch, key) -> state
-Part = Callable[[Any, Transitions, PRNGKeyArray], Any]
+# (learner with traced numbers, state, batch, key) -> state
+Part = Callable[[Any, Any, Transitions, PRNGKeyArray], Any]
 
 # Name in the table: preset, and what is changed beside the common problem.
 NAMES: dict[str, tuple[str, dict[str, Any]]] = {
@@ -50,16 +51,16 @@ NAMES: dict[str, tuple[str, dict[str, Any]]] = {
 class NaiveOutcomePenalty(OutcomePenalty):
     """The sample solver written down as in the paper: all draws at once, and the maximum over all of them derived."""
 
-    def worst_case(self, context: Context, side: DynamicsModel, key: PRNGKeyArray) -> Float[Array, " rows"]:
+    def worst_case(self, context: Context, dynamics: DynamicsModel, key: PRNGKeyArray) -> Float[Array, " rows"]:
         """Worst U over the draws; differentiated through every one of them."""
-        context, side = self._without_gradients(context), frozen(side)
+        context, dynamics = self._without_gradients(context), frozen(dynamics)
         states = context.batch.observations
         rows, obs_dim = states.shape
         key_noise, key_offsets = jr.split(key)
         box = jr.uniform(key_offsets, (self.num_draws, rows, obs_dim), minval=-self.radius, maxval=self.radius)
-        noise = self._draw_noise(side, self.num_draws * rows, context.batch.actions.shape[1], key_noise)
+        noise = self._draw_noise(dynamics, self.num_draws * rows, context.batch.actions.shape[1], key_noise)
         perturbed = (states[None] + box).reshape(-1, obs_dim)
-        uncertainty = self.outcome_uncertainty(context, context.actor, side, perturbed, noise)
+        uncertainty = self.outcome_uncertainty(context, context.actor, dynamics, perturbed, noise)
         return jnp.max(uncertainty.reshape(self.num_draws, rows), axis=0)
 
 
@@ -89,30 +90,31 @@ def columns() -> Transitions:
 
 
 def state_of(algorithm: Any) -> Any:
-    """An untrained state, with untrained side models: their values do not change what an update costs."""
+    """An untrained state, with untrained models: their values do not change what an update costs."""
     key = jr.key(1)
-    return algorithm.init(key, SPEC, algorithm.untrained_side(key, SPEC))
+    return algorithm.init(key, SPEC, algorithm.untrained(key, SPEC))
 
 
-def repeated(
-    algorithm: Any, rows: Transitions, part: Callable[[Any, Transitions, PRNGKeyArray], Any], state: Any
-) -> Any:
+def repeated(algorithm: Any, rows: Transitions, part: Part, state: Any) -> Callable[[int], None]:
     """A function of a number: make `part` that often in one compiled loop, on fresh batches, and wait for the end."""
     arrays, static = eqx.partition(state, eqx.is_array)
+    structure, numbers = split(algorithm)
 
-    @functools.partial(jax.jit, donate_argnums=1)
-    def stretch(rows: Transitions, arrays: Any, count: Array) -> Any:
+    @functools.partial(jax.jit, donate_argnums=2)
+    def stretch(numbers: Numbers, rows: Transitions, arrays: Any, count: Array) -> Any:
+        learner = joined(structure, numbers)
+
         def step(index: Array, arrays: Any) -> Any:
             key_batch, key_update = jr.split(jr.fold_in(jr.key(2), index))
             batch = sample(rows, key_batch, algorithm.batch_size)
-            return eqx.partition(part(eqx.combine(arrays, static), batch, key_update), eqx.is_array)[0]
+            return eqx.partition(part(learner, eqx.combine(arrays, static), batch, key_update), eqx.is_array)[0]
 
         return jax.lax.fori_loop(0, count, step, arrays)
 
     carried = [jax.tree.map(jnp.copy, arrays)]
 
     def call(count: int) -> None:
-        carried[0] = jax.block_until_ready(stretch(rows, carried[0], jnp.asarray(count)))
+        carried[0] = jax.block_until_ready(stretch(numbers, rows, carried[0], jnp.asarray(count)))
 
     return call
 
@@ -120,8 +122,8 @@ def repeated(
 def updates(algorithm: Any, rows: Transitions) -> Callable[[int], None]:
     """A function of a number that makes that many updates."""
 
-    def part(state: Any, batch: Transitions, key: PRNGKeyArray) -> Any:
-        new_state: tuple[Any, Metrics] = algorithm.update(state, batch, key)
+    def part(learner: Any, state: Any, batch: Transitions, key: PRNGKeyArray) -> Any:
+        new_state: tuple[Any, Metrics] = learner.update(state, batch, key)
         return new_state[0]
 
     return repeated(algorithm, rows, part, state_of(algorithm))

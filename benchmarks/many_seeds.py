@@ -19,14 +19,14 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from benchmarks import learners
 from benchmarks.machine import machine, write_figures
 from odaf.runs.workers import cores, run_jobs
-from odaf.training.loop import settled, stacked, train_stretch, train_stretch_many, training_key, update_number
+from odaf.training.loop import donatable, stacked, train_stretch, train_stretch_many, training_key, update_number
 
 
 def alone(job: tuple[str, int, int, float]) -> float:
     """Updates a second of one seed in this process, once all processes are at it; compilation apart."""
     name, seed, updates, start = job
     algorithm, rows = learners.load(name), learners.columns()
-    state = settled(learners.state_of(algorithm))
+    state = donatable(learners.state_of(algorithm))
     state, _ = train_stretch(algorithm, rows, training_key(seed), update_number(0), update_number(2), state)
     jax.block_until_ready(state)
     while time.time() < start:
@@ -46,7 +46,7 @@ def in_processes(name: str, seeds: int, updates: int, wait: float) -> float:
 def in_one_call(name: str, seeds: int, updates: int) -> float:
     """Updates a second of all seeds together, compiled as one."""
     algorithm, rows = learners.load(name), learners.columns()
-    states: Any = stacked([settled(learners.state_of(algorithm)) for _ in range(seeds)])
+    states: Any = stacked([donatable(learners.state_of(algorithm)) for _ in range(seeds)])
     keys = jr.split(jr.key(0), seeds)
     states, _ = train_stretch_many(algorithm, rows, keys, update_number(0), update_number(2), states)
     jax.block_until_ready(states)

@@ -9,12 +9,11 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import optax
 
 from benchmarks import learners
 from benchmarks.learners import Part
+from odaf.algorithms.numbers import changed
 from odaf.components.losses import ensemble_td_gradient
-from odaf.components.targets import polyak
 
 
 def show(name: str, rounds: int, seconds: float) -> dict[str, float]:
@@ -39,37 +38,31 @@ def show(name: str, rounds: int, seconds: float) -> dict[str, float]:
 def parts_of(algorithm: Any) -> dict[str, Part]:
     """The parts by name. Each leaves a trace of its result in the state, so that the compiler cannot drop it."""
 
-    def targets(state: Any, batch: Any, key: Any) -> Any:
-        return _trace(state, algorithm.targets(state, batch, key))
+    def targets(learner: Any, state: Any, batch: Any, key: Any) -> Any:
+        return _trace(state, learner.targets(state, batch, key))
 
-    def critics(state: Any, batch: Any, key: Any) -> Any:
-        del key
-        return _trace(state, ensemble_td_gradient(state.critics, batch.observations, batch.actions, batch.rewards)[0])
+    def critics(learner: Any, state: Any, batch: Any, key: Any) -> Any:
+        del learner, key
+        gradient, *_ = ensemble_td_gradient(state.online_critics, batch.observations, batch.actions, batch.rewards)
+        return _trace(state, gradient)
 
-    def critic_terms(state: Any, batch: Any, key: Any) -> Any:
-        return _trace(
-            state, eqx.filter_grad(algorithm.critic_additions, has_aux=True)(state.critics, state, batch, key)
-        )
+    def critic_terms(learner: Any, state: Any, batch: Any, key: Any) -> Any:
+        additions = eqx.filter_grad(learner.critic_additions, has_aux=True)
+        return _trace(state, additions(state.online_critics, state, batch, key))
 
-    def actor_base(state: Any, batch: Any, key: Any) -> Any:
-        plain = dataclasses.replace(state, side=(), memory=())
-        return _trace(state, eqx.filter_grad(base.actor_loss, has_aux=True)(state.actor, plain, batch, key)[0])
+    def actor_base(learner: Any, state: Any, batch: Any, key: Any) -> Any:
+        return actor(changed(learner, {"terms": ()}), dataclasses.replace(state, terms=()), batch, key)
 
-    def actor(state: Any, batch: Any, key: Any) -> Any:
-        return _trace(state, eqx.filter_grad(algorithm.actor_loss, has_aux=True)(state.actor, state, batch, key)[0])
+    def actor(learner: Any, state: Any, batch: Any, key: Any) -> Any:
+        return _trace(state, eqx.filter_grad(learner.actor_loss, has_aux=True)(state.actor.now, state, batch, key)[0])
 
-    def optimiser(state: Any, batch: Any, key: Any) -> Any:
+    def optimiser(learner: Any, state: Any, batch: Any, key: Any) -> Any:
         del batch, key
-        changes, moments = optax.adam(1e-9).update(state.critics, state.critic_optimiser, state.critics)
-        moved: Any = optax.apply_updates(state.critics, changes)
-        slow = polyak(state.target_critics.networks, moved.networks, algorithm.target_rate)
-        slow = dataclasses.replace(state.target_critics, networks=slow)
-        return dataclasses.replace(state, critics=moved, critic_optimiser=moments, target_critics=slow)
+        return dataclasses.replace(state, critics=state.critics.stepped(state.critics.now, 1e-9, learner.target_rate))
 
-    base = dataclasses.replace(algorithm, terms=())
     found: dict[str, Part] = {
-        "whole update": lambda state, batch, key: algorithm.update(state, batch, key)[0],
-        "batch alone": lambda state, batch, key: _trace(state, batch),
+        "whole update": lambda learner, state, batch, key: learner.update(state, batch, key)[0],
+        "batch alone": lambda learner, state, batch, key: _trace(state, batch),
         "targets": targets,
         "critics' gradient": critics,
     }
@@ -85,7 +78,8 @@ def parts_of(algorithm: Any) -> dict[str, Part]:
 def _trace(state: Any, result: Any) -> Any:
     """The state, changed by something far too small to matter that needs every number of the result."""
     total = sum(jnp.sum(leaf) for leaf in jax.tree.leaves(eqx.filter(result, eqx.is_inexact_array)))
-    return dataclasses.replace(state, log_temperature=state.log_temperature + 1e-30 * total)
+    moved = dataclasses.replace(state.log_temperature, now=state.log_temperature.now + 1e-30 * total)
+    return dataclasses.replace(state, log_temperature=moved)
 
 
 def _seconds(call: Callable[[int], None], count: int) -> float:

@@ -17,7 +17,7 @@ def _initial(learner: BehaviourCloning):
 def test_the_loss_is_the_mean_over_rows_and_action_dimensions():
     with tiny.exactly():
         learner, batch = BehaviourCloning(hidden_sizes=(5, 4)), tiny.batch()
-        actor = tiny.filled(jax.eval_shape(lambda: learner.init(jr.key(0), tiny.SPEC, ()).actor))
+        actor = tiny.filled(jax.eval_shape(lambda: learner.init(jr.key(0), tiny.SPEC, ()).actor.now))
 
         def expected(actor) -> float:
             actions = np.tanh(networks.mlp(actor.network, batch.observations))
@@ -43,7 +43,7 @@ def test_training_finds_a_policy_that_can_be_cloned():
 
     state = train(_initial(learner))
     assert int(state.step) == 500
-    assert float(cloning_loss(state.actor, batch)) < 1e-3  # 0.4 before training
+    assert float(cloning_loss(state.actor.now, batch)) < 1e-3  # 0.4 before training
     np.testing.assert_allclose(learner.actor(state).mode(batch.observations), wanted, atol=0.15)
 
 
@@ -58,7 +58,7 @@ def test_one_key_gives_one_course_of_training_bit_for_bit():
     (first, metrics), (again, _), (other, _) = (train(jr.key(key)) for key in (0, 0, 1))
     assert set(metrics) == {"actor/loss"} and np.all(np.diff(metrics["actor/loss"]) < 0.0)
     tiny.assert_same_bits(first, again)
-    assert not np.array_equal(first.actor.network.weights[0], other.actor.network.weights[0])
+    assert not np.array_equal(first.actor.now.network.weights[0], other.actor.now.network.weights[0])
 
 
 def test_there_is_nothing_to_pretrain():

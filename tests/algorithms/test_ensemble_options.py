@@ -10,9 +10,12 @@ import pytest
 
 from golden import networks, tiny
 from odaf.algorithms.ensemble_sac import EnsembleSAC
+from odaf.algorithms.ensemble_state import Models
 from odaf.algorithms.terms import OODPessimism
 from odaf.algorithms.terms.ood_pessimism import Easing
-from odaf.components.critics import init_critics
+from odaf.components.critics import CriticEnsemble, init_critics
+from odaf.components.networks import MLP
+from odaf.components.priors import init_priors
 from odaf.errors import ConfigError
 
 
@@ -30,7 +33,7 @@ def test_each_member_may_have_a_target_of_its_own(entropy, deviations):
         state, batch = tiny.state_of(learner), tiny.batch()
         with tiny.recorded() as drawn:
             y = np.asarray(learner.targets(state, batch, jr.fold_in(jr.key(5), 0)))  # as critic_gradient draws below
-        actions, density = networks.act(state.actor, batch.next_observations, drawn[0])
+        actions, density = networks.act(state.actor.now, batch.next_observations, drawn[0])
         values = networks.q_values(state.target_critics, batch.next_observations, actions)
         for member in range(3):
             for row in range(tiny.ROWS):
@@ -45,8 +48,8 @@ def test_each_member_may_have_a_target_of_its_own(entropy, deviations):
             found = networks.q_values(critics, batch.observations, batch.actions)
             return float(sum(np.mean((found[member] - y[member]) ** 2) for member in range(3)))
 
-        np.testing.assert_allclose(metrics["critic/loss"], loss(state.critics), rtol=1e-9)
-        tiny.assert_slopes(gradient, loss, state.critics)
+        np.testing.assert_allclose(metrics["critic/loss"], loss(state.online_critics), rtol=1e-9)
+        tiny.assert_slopes(gradient, loss, state.online_critics)
 
 
 def test_the_lowest_member_less_deviations_is_lower_by_just_them():
@@ -56,14 +59,15 @@ def test_the_lowest_member_less_deviations_is_lower_by_just_them():
         with tiny.recorded() as drawn:
             y = np.asarray(plain.targets(state, batch, jr.key(5)))
         less = np.asarray(lower.targets(state, batch, jr.key(5)))
-        actions, _ = networks.act(state.actor, batch.next_observations, drawn[0])
+        actions, _ = networks.act(state.actor.now, batch.next_observations, drawn[0])
         values = networks.q_values(state.target_critics, batch.next_observations, actions)
     gap = 0.9 * (1.0 - np.asarray(batch.terminated)) * 2.0 * np.std(values, axis=0, ddof=1)
     np.testing.assert_allclose(y - less, gap, rtol=1e-6, atol=1e-9)
 
 
-def _with_priors(scale: float = 0.5):
-    return init_critics(jr.key(1), 3, 2, (5, 4), 3, "none", 3e-3, scale)
+def _with_priors(scale: float = 0.5) -> CriticEnsemble:
+    networks = init_critics(jr.key(1), 3, 2, (5, 4), 3, "none", 3e-3)
+    return CriticEnsemble(networks, init_priors(jr.key(1), 3, 2, (5, 4), 3, scale))
 
 
 def test_priors_are_added_to_every_member():
@@ -71,9 +75,7 @@ def test_priors_are_added_to_every_member():
         critics, batch = tiny.in_double(_with_priors()), tiny.batch()
         assert critics.priors is not None
         own = networks.q_values(dataclasses.replace(critics, priors=None), batch.observations, batch.actions)
-        prior = networks.q_values(
-            dataclasses.replace(critics, networks=critics.priors), batch.observations, batch.actions
-        )
+        prior = networks.q_values(CriticEnsemble(critics.priors.networks), batch.observations, batch.actions)
         assert np.std(prior) > 10 * np.std(own), "fresh members are flat, fresh priors are not"
         for found in (
             critics(batch.observations, batch.actions),
@@ -96,14 +98,14 @@ def test_priors_never_move_and_both_copies_have_the_same():
 
     @jax.jit
     def train(key):
-        first = learner.init(jr.fold_in(key, 0), tiny.SPEC, ((),))
+        first = learner.init(jr.fold_in(key, 0), tiny.SPEC, Models(((),)))
         keys = jr.split(jr.fold_in(key, 1), 5)
         return first, jax.lax.scan(lambda s, k: learner.update(s, tiny.batch(), k), first, keys)[0]
 
     first, last = train(jr.key(0))
-    tiny.assert_same_bits(first.critics.priors, last.critics.priors)
-    tiny.assert_same_bits(first.critics.priors, last.target_critics.priors)
-    assert not np.array_equal(first.critics.networks.weights[0], last.critics.networks.weights[0])
+    tiny.assert_same_bits(first.online_critics.priors, last.priors)
+    tiny.assert_same_bits(first.target_critics.priors, last.target_critics.priors)
+    assert not np.array_equal(first.online_critics.networks.weights[0], last.critics.now.weights[0])
     assert not np.array_equal(first.target_critics.networks.weights[0], last.target_critics.networks.weights[0])
 
 
@@ -131,10 +133,10 @@ def test_pessimism_eases_where_the_policys_values_fall(slope):
     def run(values):
         def step(memory, one):
             index, value = one
-            memory = term.next_memory(memory, index, {"ood/value": value})
+            memory = term.next_state(memory, index, {"ood/value": value})
             return memory, memory.factor
 
-        return jax.lax.scan(step, term.first_memory(), (jnp.arange(1, len(values) + 1), values))[1]
+        return jax.lax.scan(step, term.init(()), (jnp.arange(1, len(values) + 1), values))[1]
 
     found, expected = np.asarray(run(values)), np.array(_eased(values))
     np.testing.assert_allclose(found, expected, rtol=1e-5)
@@ -143,15 +145,15 @@ def test_pessimism_eases_where_the_policys_values_fall(slope):
 
 def test_easing_stops_at_its_least_and_reaches_the_loss():
     term = OODPessimism(adaptive=True, deviations=0.21, final_deviations=0.21)
-    memory = term.first_memory()
+    memory = term.init(())
     assert isinstance(memory, Easing)
     with tiny.exactly():
         learner = _learner(terms=(term,))
-        state = tiny.state_of(learner, side=((),))
+        state = tiny.state_of(learner, models=((),))
         eased = dataclasses.replace(memory, factor=tiny.floats(0.5))
-        _, whole = learner.critic_additions(state.critics, state, tiny.batch(), jr.key(1))
-        halved = dataclasses.replace(state, memory=(tiny.in_double(eased),))
-        _, half = learner.critic_additions(state.critics, halved, tiny.batch(), jr.key(1))
+        _, whole = learner.critic_additions(state.online_critics, state, tiny.batch(), jr.key(1))
+        halved = dataclasses.replace(state, terms=(tiny.in_double(eased),))
+        _, half = learner.critic_additions(state.online_critics, halved, tiny.batch(), jr.key(1))
     assert float(half["ood/deviations"]) == pytest.approx(0.5 * float(whole["ood/deviations"]))
     assert float(half["ood/loss"]) == pytest.approx(0.25 * float(whole["ood/loss"]), rel=1e-6)
     falling = _eased(-np.arange(100_000) / 1000, deviations=0.21, decay_steps=0)
@@ -166,8 +168,9 @@ def test_scaled_rewards_scale_targets_and_bounds_and_leave_metrics_in_the_logs_u
             state,
             reward_scale=tiny.floats(0.25),
             value_bounds=0.25 * state.value_bounds,
-            critics=_times(state.critics, 0.25),
-            target_critics=_times(state.target_critics, 0.25),
+            critics=dataclasses.replace(
+                state.critics, now=_times(state.critics.now, 0.25), slow=_times(state.critics.slow, 0.25)
+            ),
         )
         y, small_y = plain.targets(state, batch, jr.key(5)), scaled.targets(small, batch, jr.key(5))
         np.testing.assert_allclose(0.25 * np.asarray(y), small_y, rtol=1e-9)
@@ -177,27 +180,30 @@ def test_scaled_rewards_scale_targets_and_bounds_and_leave_metrics_in_the_logs_u
         assert float(small_metrics[name]) == pytest.approx(float(metrics[name]), rel=1e-9)
 
 
-def _times(critics, factor: float):
-    """The same critics with every value multiplied."""
-    last = critics.networks
+def _times(networks: MLP, factor: float) -> MLP:
+    """The same networks with every output multiplied."""
     return dataclasses.replace(
-        critics,
-        networks=dataclasses.replace(
-            last,
-            weights=(*last.weights[:-1], factor * last.weights[-1]),
-            biases=(*last.biases[:-1], factor * last.biases[-1]),
-        ),
+        networks,
+        weights=(*networks.weights[:-1], factor * networks.weights[-1]),
+        biases=(*networks.biases[:-1], factor * networks.biases[-1]),
     )
+
+
+def test_unit_gives_the_largest_logged_reward_the_size_one():
+    learner = _learner(reward_scale="unit", discount=0.9)
+    state = jax.jit(lambda key: learner.init(key, tiny.SPEC, Models()))(jr.key(0))
+    assert float(state.reward_scale) == 0.5  # rewards in [-1, 2]
+    np.testing.assert_allclose(state.value_bounds, [-5.0, 10.0], rtol=1e-6)
 
 
 def test_auto_makes_the_largest_allowed_value_ten():
     learner = _learner(reward_scale="auto", discount=0.9)
-    state = jax.jit(lambda key: learner.init(key, tiny.SPEC, ()))(jr.key(0))
+    state = jax.jit(lambda key: learner.init(key, tiny.SPEC, Models()))(jr.key(0))
     # rewards in [-1, 2]: values in [-10, 20]
     assert float(state.reward_scale) == pytest.approx(0.5)
     np.testing.assert_allclose(state.value_bounds, [-5.0, 10.0], rtol=1e-6)
     nothing = dataclasses.replace(tiny.SPEC, reward_min=0.0, reward_max=0.0)
-    assert float(jax.jit(lambda key: learner.init(key, nothing, ()))(jr.key(0)).reward_scale) == 1.0
+    assert float(jax.jit(lambda key: learner.init(key, nothing, Models()))(jr.key(0)).reward_scale) == 1.0
 
 
 @pytest.mark.parametrize(

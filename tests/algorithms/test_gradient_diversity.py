@@ -18,8 +18,9 @@ from odaf.errors import ConfigError
 each_norm = pytest.mark.parametrize("norm", ["none", "layer"])
 
 
-def _context(norm: str):
-    return tiny.context_of(tiny.state_of(EnsembleSAC(**{**tiny.SMALL, "critic_norm": norm})), tiny.batch())
+def _context(norm: str, prior_scale: float = 0.0):
+    learner = EnsembleSAC(**{**tiny.SMALL, "critic_norm": norm, "prior_scale": prior_scale})
+    return tiny.context_of(tiny.state_of(learner), tiny.batch())
 
 
 def _loss(term, context):
@@ -47,14 +48,14 @@ def test_value_and_gradient_follow_the_formula(norm):
         tiny.assert_slopes(gradient, expected, context.critics)
 
 
-def _textbook(networks, observations, actions):
+def _textbook(critics, observations, actions):
     """The formula as it stands: a Jacobian a row, pairs by a matrix of inner products."""
 
-    def value(network, observation, action):
-        return network(jnp.concatenate([observation, action])[None])[0, 0]
+    def value(critic, observation, action):
+        return critic.value(jnp.concatenate([observation, action])[None])[0]
 
     slope = jax.vmap(jax.grad(value, argnums=2), in_axes=(None, 0, 0))
-    slopes = jax.vmap(slope, in_axes=(0, None, None))(networks, observations, actions)
+    slopes = jax.vmap(slope, in_axes=(0, None, None))(critics, observations, actions)
     directions = slopes / (jnp.linalg.norm(slopes, axis=-1, keepdims=True) + 1e-10)
     products = jnp.einsum("iba,jba->bij", directions, directions)
     members = products.shape[-1]
@@ -62,17 +63,18 @@ def _textbook(networks, observations, actions):
     return jnp.mean(pairs) / (members - 1)
 
 
-@each_norm
+@pytest.mark.parametrize(("norm", "prior_scale"), [("none", 0.0), ("layer", 0.0), ("layer", 2.0)])
 @pytest.mark.parametrize("mapped", ["member by member", "all at once"])
-def test_the_gradient_is_that_of_plain_second_order_differentiation(norm, mapped, monkeypatch):
+def test_the_gradient_is_that_of_plain_second_order_differentiation(norm, prior_scale, mapped, monkeypatch):
+    """Of the whole Q-functions: fixed priors turn their slopes too."""
     if mapped == "all at once":  # as on an accelerator
         monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
     with jax.enable_x64(True):
-        context = _context(norm)
-        networks, batch = context.critics.networks, context.batch
+        context = _context(norm, prior_scale)
+        critics, batch = context.critics, context.batch
         solve = jax.jit(jax.value_and_grad(lambda n: 3.0 * action_diversity(n, batch.observations, batch.actions)))
         plain = jax.jit(jax.value_and_grad(lambda n: 3.0 * _textbook(n, batch.observations, batch.actions)))
-        (value, gradient), (plain_value, plain_gradient) = solve(networks), plain(networks)
+        (value, gradient), (plain_value, plain_gradient) = solve(critics), plain(critics)
     np.testing.assert_allclose(value, plain_value, rtol=1e-12)
     largest = max(float(np.max(np.abs(leaf))) for leaf in jax.tree.leaves(plain_gradient))
     assert largest > 1e-2, "a gradient of nothing proves nothing"

@@ -142,7 +142,7 @@ def test_every_field_is_written_even_defaults():
 def test_missing_fields_keep_their_defaults_and_whole_numbers_become_floats():
     learner = config.from_dict({"kind": "ensemble-sac", "discount": 0, "terms": [{"name": "outcome", "weight": 2}]})
     assert learner == EnsembleSAC(discount=0.0, terms=(OutcomePenalty(weight=2.0),))
-    assert type(learner.discount) is float
+    assert isinstance(learner, EnsembleSAC) and type(learner.discount) is float
 
 
 BASE = EnsembleSAC(terms=(OutcomePenalty(), OODPessimism()))

@@ -92,11 +92,12 @@ def test_the_loss_averages_over_members_where_the_bellman_loss_sums():
     losses, sums = [], []
     with tiny.exactly():
         state, batch = tiny.state_of(learner), tiny.batch()
-        doubled = jax.tree.map(lambda leaf: jnp.concatenate([leaf, leaf]), state.critics)
-        for critics in (state.critics, doubled):
+        doubled = jax.tree.map(lambda leaf: jnp.concatenate([leaf, leaf]), state.online_critics)
+        for critics in (state.online_critics, doubled):
             context = dataclasses.replace(tiny.context_of(state, batch), critics=critics)
             losses.append(float(OODPessimism().critic_loss(context, (), jr.key(3))[0]))
-            _, metrics = learner.critic_gradient(dataclasses.replace(state, critics=critics), batch, jr.key(4))
+            shown = dataclasses.replace(state, critics=dataclasses.replace(state.critics, now=critics.networks))
+            _, metrics = learner.critic_gradient(shown, batch, jr.key(4))
             sums.append(float(metrics["critic/loss"]))
     assert losses[1] == pytest.approx(losses[0], rel=1e-9)
     assert sums[1] == pytest.approx(2.0 * sums[0], rel=1e-9)

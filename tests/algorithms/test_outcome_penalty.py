@@ -186,9 +186,9 @@ def _gains(seed: int, rows: int = 64, radius: float = 0.05, draws: int = 20) -> 
     term = OutcomePenalty(radius=radius, dynamics=tiny.dynamics_config(hidden_sizes=(16,)))
     learner = EnsembleSAC(num_critics=4, hidden_sizes=(16, 16))
     state, side = tiny.state_of(learner, size=0.3), tiny.dynamics_model(term.dynamics, seed, 0.3)
-    critics, actor = tiny.filled(state.critics, 100 + seed, 0.3), tiny.filled(state.actor, 200 + seed, 0.3)
-    state = dataclasses.replace(state, critics=critics, actor=actor, slow_actor=actor)
+    critics, actor = tiny.filled(state.online_critics, 100 + seed, 0.3), tiny.filled(state.actor.now, 200 + seed, 0.3)
     context = tiny.context_of(state, tiny.batch(rows, seed))
+    context = dataclasses.replace(context, critics=critics, actor=actor, slow_actor=actor)
     states = context.batch.observations
     noise = term._draw_noise(side, rows, tiny.ACT_DIM, jr.split(jr.key(KEY))[0])  # what `worst_case` draws from KEY
 
@@ -256,15 +256,15 @@ def test_pretraining_fits_the_model_that_the_term_will_use():
     dataset = tiny.linear_dataset(episodes=4, length=10)
     learner = EnsembleSAC(**tiny.SMALL, terms=(OutcomePenalty(dynamics=tiny.dynamics_config(steps=3)),))
     calls = []
-    (side,), report = learner.pretrain(
+    models, report = learner.pretrain(
         dataset, Normaliser.fit(dataset.observations), jr.key(0), lambda *call: calls.append(call)
     )
-    assert jax.tree.structure(side) == jax.tree.structure(learner.untrained_side(jr.key(1), dataset.spec())[0])
+    assert jax.tree.structure(models) == jax.tree.structure(learner.untrained(jr.key(1), dataset.spec()))
     assert calls == [("dynamics model", 3, 3)]
     assert report["outcome"]["kind"] == "deterministic" and report["outcome"]["holdout_rows"] == 10
     assert len(report["warnings"]) == 1 and "no better than predicting 'no change'" in report["warnings"][0]
-    state = learner.init(jr.key(0), dataset.spec(), (side,))
-    assert state.side[0] is side
+    state = learner.init(jr.key(0), dataset.spec(), models)
+    assert state.terms == models.terms
 
 
 @pytest.mark.parametrize(

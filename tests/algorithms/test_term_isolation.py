@@ -50,8 +50,8 @@ def _trained(learner, updates: int = 3):
 
     @jax.jit
     def train(key):
-        side = learner.untrained_side(jr.fold_in(key, 1), tiny.SPEC)
-        state = learner.init(jr.fold_in(key, 2), tiny.SPEC, side)
+        models = learner.untrained(jr.fold_in(key, 1), tiny.SPEC)
+        state = learner.init(jr.fold_in(key, 2), tiny.SPEC, models)
         keys = jr.split(jr.fold_in(key, 3), updates)
         return jax.lax.scan(lambda s, k: learner.update(s, tiny.batch(), k), state, keys)
 
@@ -88,13 +88,14 @@ def test_the_relatives_train_compiled_and_move_both_networks(name):
     for term in presets.load(name).terms:
         assert any(metric.startswith(f"{term.name}/") for metric in metrics), term.name
     for part in ("actor", "critics"):
-        leaves = zip(jax.tree.leaves(getattr(state, part)), jax.tree.leaves(getattr(start, part)), strict=True)
+        pair = getattr(state, part).now, getattr(start, part).now
+        leaves = zip(*map(jax.tree.leaves, pair), strict=True)
         assert all(not np.array_equal(ours, theirs) for ours, theirs in leaves), part
-    tiny.assert_same_bits(state.side, start.side)
+    tiny.assert_same_bits(state.terms, start.terms)
 
 
-def _side(name: str):
-    """A side network with random parameters, for the terms that have one."""
+def _model(name: str):
+    """A model with random parameters, for the terms that have one."""
     if name == "outcome":
         return tiny.dynamics_model(tiny.dynamics_config())
     if name.startswith("inverse_dynamics"):
@@ -107,7 +108,7 @@ def _one_update(terms):
     """State and metrics of one update, op by op, with the given terms."""
     learner = EnsembleSAC(**tiny.SMALL, terms=terms)
     with tiny.exactly():
-        state = tiny.state_of(learner, side=tuple(_side(term.name) for term in terms))
+        state = tiny.state_of(learner, models=tuple(_model(term.name) for term in terms))
         return learner.update(state, tiny.batch(), jr.key(1))
 
 
@@ -131,15 +132,14 @@ def test_every_term_there_is_stands_in_the_list():
 def test_a_term_moves_what_it_says_and_leaves_the_rest_alone(term):
     bare, bare_metrics = _one_update(())
     state, metrics = _one_update((term,))
-    of_actor = ("actor", "slow_actor", "actor_optimiser")
-    of_critics = ("critics", "target_critics", "critic_optimiser")
     assert term.acts_on_actor != term.acts_on_critics
-    moved, still = (of_actor, of_critics) if term.acts_on_actor else (of_critics, of_actor)
-    for name in (*still, "log_temperature", "temperature_optimiser"):
+    moved, still = ("actor", "critics") if term.acts_on_actor else ("critics", "actor")
+    for name in (still, "log_temperature"):
         tiny.assert_same_bits(getattr(state, name), getattr(bare, name))
-    for name in moved:
-        leaves = zip(jax.tree.leaves(getattr(state, name)), jax.tree.leaves(getattr(bare, name)), strict=True)
-        assert any(not np.array_equal(ours, theirs) for ours, theirs in leaves), name
+    for part in ("now", "slow", "moments"):
+        pair = getattr(getattr(state, moved), part), getattr(getattr(bare, moved), part)
+        leaves = zip(*map(jax.tree.leaves, pair), strict=True)
+        assert any(not np.array_equal(ours, theirs) for ours, theirs in leaves), part
     assert {name: metrics[name] for name in bare_metrics} == bare_metrics
     assert all(name.startswith(f"{term.name}/") for name in metrics.keys() - bare_metrics.keys())
 
@@ -162,13 +162,13 @@ def test_terms_leave_each_others_and_the_bases_numbers_alone():
     swapped, swapped_metrics = _one_update((outcome, ood))
 
     for one, other in ((feared, bare), (both, pulled)):  # the outcome term moves the actor alone
-        for name in ("critics", "target_critics", "critic_optimiser", "log_temperature"):
+        for name in ("critics", "log_temperature"):
             tiny.assert_same_bits(getattr(one, name), getattr(other, name))
-        assert not np.array_equal(one.actor.network.weights[0], other.actor.network.weights[0])
+        assert not np.array_equal(one.actor.now.network.weights[0], other.actor.now.network.weights[0])
     for one, other in ((pulled, bare), (both, feared)):  # the pessimistic term moves the critics alone
-        for name in ("actor", "slow_actor", "actor_optimiser", "log_temperature"):
+        for name in ("actor", "log_temperature"):
             tiny.assert_same_bits(getattr(one, name), getattr(other, name))
-        assert not np.array_equal(one.critics.networks.weights[0], other.critics.networks.weights[0])
+        assert not np.array_equal(one.critics.now.weights[0], other.critics.now.weights[0])
     for metrics in (bare_metrics, pulled_metrics, feared_metrics, swapped_metrics):
         assert {name: both_metrics[name] for name in metrics} == metrics
     for name in ("actor", "critics", "log_temperature"):

@@ -18,6 +18,7 @@ from odaf.algorithms.truncated_quantile_critics import (
     quantile_huber_loss,
     without_largest,
 )
+from odaf.components.trained import Trained
 from odaf.errors import ConfigError
 
 LEARNER = TruncatedQuantileCritics(
@@ -28,12 +29,14 @@ LEARNER = TruncatedQuantileCritics(
 def state_of(learner: TruncatedQuantileCritics = LEARNER, size: float = 0.6) -> TQCState:
     """A state at step 0 with random networks and a temperature of a half."""
     shape = eqx.filter_eval_shape(lambda: learner.init(jr.key(0), tiny.SPEC, ()))
+    empty = tiny.filled(shape, size=0.0)
     return dataclasses.replace(
-        tiny.filled(shape, size=0.0),
-        actor=tiny.filled(shape.actor, 1, size),
-        critics=tiny.filled(shape.critics, 2, size),
-        target_critics=tiny.filled(shape.target_critics, 3, size),
-        log_temperature=tiny.floats(np.log(0.5)),
+        empty,
+        actor=Trained(tiny.filled(shape.actor.now, 1, size), None, empty.actor.moments),
+        critics=Trained(
+            tiny.filled(shape.critics.now, 2, size), tiny.filled(shape.critics.slow, 3, size), empty.critics.moments
+        ),
+        log_temperature=Trained(tiny.floats(np.log(0.5)), None, empty.log_temperature.moments),
     )
 
 
@@ -74,31 +77,35 @@ def test_target_critic_loss_and_gradients_agree_with_numpy():
             np.testing.assert_allclose(found, np.sort(expected), rtol=1e-9)
 
         gradient, metrics = LEARNER.critic_gradient(state, batch, jr.key(5))
-        np.testing.assert_allclose(metrics["critic/loss"], golden.critic_loss(state.critics, batch, rows), rtol=1e-9)
-        tiny.assert_slopes(gradient, lambda critics: golden.critic_loss(critics, batch, rows), state.critics)
+        np.testing.assert_allclose(
+            metrics["critic/loss"], golden.critic_loss(state.critics.now, batch, rows), rtol=1e-9
+        )
+        tiny.assert_slopes(gradient, lambda critics: golden.critic_loss(critics, batch, rows), state.critics.now)
 
 
 def test_actor_loss_and_gradient_agree_with_numpy():
     with tiny.exactly():
         state, batch = state_of(), tiny.batch()
         with tiny.recorded() as drawn:
-            loss, log_density = LEARNER.actor_loss(state.actor, state, batch, jr.key(5))
-        expected = golden.actor_loss(state.actor, state.critics, state.log_temperature, batch, drawn[0])
+            loss, log_density = LEARNER.actor_loss(state.actor.now, state, batch, jr.key(5))
+        expected = golden.actor_loss(state.actor.now, state.critics.now, state.log_temperature.now, batch, drawn[0])
         np.testing.assert_allclose(loss, expected, rtol=1e-9)
         assert log_density.shape == (tiny.ROWS,)
-        gradient = jax.grad(lambda actor: LEARNER.actor_loss(actor, state, batch, jr.key(5))[0])(state.actor)
+        gradient = jax.grad(lambda actor: LEARNER.actor_loss(actor, state, batch, jr.key(5))[0])(state.actor.now)
         tiny.assert_slopes(
             gradient,
-            lambda actor: golden.actor_loss(actor, state.critics, state.log_temperature, batch, drawn[0]),
-            state.actor,
+            lambda actor: golden.actor_loss(actor, state.critics.now, state.log_temperature.now, batch, drawn[0]),
+            state.actor.now,
         )
 
 
 def test_the_averaged_last_layer_is_the_mean_of_the_quantiles():
     with tiny.exactly():
         state, batch = state_of(), tiny.batch()
-        expected = golden.quantiles(state.critics, batch.observations, batch.actions).mean(axis=2)
-        np.testing.assert_allclose(mean_critics(state.critics)(batch.observations, batch.actions), expected, rtol=1e-9)
+        expected = golden.quantiles(state.critics.now, batch.observations, batch.actions).mean(axis=2)
+        np.testing.assert_allclose(
+            mean_critics(state.critics.now)(batch.observations, batch.actions), expected, rtol=1e-9
+        )
 
 
 def test_targets_receive_no_gradient():
@@ -115,11 +122,11 @@ def test_an_update_moves_everything_once_and_the_same_key_gives_the_same_bits():
     again, _ = update(state, batch, jr.key(2))
     tiny.assert_same_bits(new, again)
     assert int(new.step) == 1 and all(np.isfinite(value) for value in metrics.values())
-    for before, after in ((state.actor, new.actor), (state.critics, new.critics)):
+    for before, after in ((state.actor.now, new.actor.now), (state.critics.now, new.critics.now)):
         changes = jax.tree.map(lambda a, b: np.abs(np.asarray(a) - np.asarray(b)).max(), before, after)
         assert max(jax.tree.leaves(changes)) > 1e-5
-    slow = jax.tree.map(lambda old, online: 0.995 * old + 0.005 * online, state.target_critics, new.critics)
-    for expected, found in zip(jax.tree.leaves(slow), jax.tree.leaves(new.target_critics), strict=True):
+    slow = jax.tree.map(lambda old, online: 0.995 * old + 0.005 * online, state.critics.slow, new.critics.now)
+    for expected, found in zip(jax.tree.leaves(slow), jax.tree.leaves(new.critics.slow), strict=True):
         np.testing.assert_allclose(found, expected, atol=1e-7)
 
 
@@ -141,7 +148,7 @@ def test_it_learns_the_quantiles_of_a_reward_that_is_a_coin():
     def train(state):
         return jax.lax.scan(lambda s, key: (learner.update(s, batch, key)[0], None), state, jr.split(jr.key(1), 600))[0]
 
-    found = golden.quantiles(train(state).critics, batch.observations[:1], batch.actions[:1])[:, 0]
+    found = golden.quantiles(train(state).critics.now, batch.observations[:1], batch.actions[:1])[:, 0]
     # A prediction t above 0 rests where (1 - tau) t, the pull of the zeros, equals tau, the pull of the far fours:
     # t = 1/7 and 3/5 for the levels 1/8 and 3/8, and by symmetry as far below 4 for 7/8 and 5/8.
     np.testing.assert_allclose(found, [[1 / 7, 3 / 5, 4 - 3 / 5, 4 - 1 / 7]] * 2, atol=0.03)

@@ -8,6 +8,7 @@ import pytest
 
 from golden import tiny
 from odaf.algorithms.ensemble_sac import EnsembleSAC
+from odaf.algorithms.ensemble_state import Models
 from odaf.algorithms.warm_start import returns_to_go
 from odaf.components.distributions import sample_tanh_gaussian, tanh_gaussian_log_density
 from odaf.data.dataset import Dataset
@@ -79,23 +80,25 @@ def test_the_fit_learns_the_logs_values_and_actions_and_training_begins_there():
     dataset = _controlled()
     learner, normaliser = EnsembleSAC(**SMALL, warm_start_steps=1500), Normaliser.fit(dataset.observations)
     spec, key = dataset.spec(), jr.key(0)
-    side, report = learner.pretrain(dataset, normaliser, key, _ignore)
-    assert jax.tree.structure(side) == jax.tree.structure(learner.untrained_side(jr.key(2), spec))
+    models, report = learner.pretrain(dataset, normaliser, key, _ignore)
+    assert jax.tree.structure(models) == jax.tree.structure(learner.untrained(jr.key(2), spec))
 
-    state = learner.init(jr.key(1), spec, side)
-    assert state.side == ()
-    tiny.assert_same_bits((state.actor, state.critics, state.target_critics), (*side[0][:2], side[0][1]))
+    state, start = learner.init(jr.key(1), spec, models), models.warm_start
+    assert state.terms == () and start is not None
+    tiny.assert_same_bits(
+        (state.actor.now, state.critics.now, state.critics.slow), (start.actor, start.critics, start.critics)
+    )
     observations = jnp.asarray(normaliser.normalise(dataset.observations))
     scaled = jnp.asarray(scale_actions(dataset.actions, dataset.action_low, dataset.action_high))
     returns = returns_to_go(dataset, 0.9)
     low, high = np.asarray(state.value_bounds)
-    error = np.mean((np.asarray(state.critics(observations, scaled)) - np.clip(returns, low, high)) ** 2)
+    error = np.mean((np.asarray(state.online_critics(observations, scaled)) - np.clip(returns, low, high)) ** 2)
     assert error < 0.2 * returns.var()
     assert report["warm_start"]["value_error_share"] < 0.2
-    assert np.mean((np.asarray(state.actor.mode(observations)) - scaled) ** 2) < 0.02 * scaled.var()
+    assert np.mean((np.asarray(state.actor.now.mode(observations)) - scaled) ** 2) < 0.02 * scaled.var()
 
     fresh = EnsembleSAC(**{**SMALL, "warm_start": "none"})
-    assert fresh.untrained_side(jr.key(3), spec) == () == fresh.pretrain(dataset, normaliser, jr.key(4), _ignore)[0]
+    assert fresh.untrained(jr.key(3), spec) == Models() == fresh.pretrain(dataset, normaliser, jr.key(4), _ignore)[0]
 
 
 def test_the_target_entropy_can_be_that_of_the_logged_actions():
@@ -112,8 +115,8 @@ def test_the_target_entropy_can_be_that_of_the_logged_actions():
         action_bounds=(-1.0, 1.0),
     )
     learner = EnsembleSAC(**SMALL, warm_start_steps=1500, target_entropy="log")
-    side, report = learner.pretrain(dataset, Normaliser.fit(dataset.observations), jr.key(0), _ignore)
-    state = learner.init(jr.key(1), dataset.spec(), side)
+    models, report = learner.pretrain(dataset, Normaliser.fit(dataset.observations), jr.key(0), _ignore)
+    state = learner.init(jr.key(1), dataset.spec(), models)
     assert float(state.target_entropy) == pytest.approx(-report["warm_start"]["action_log_density"])
     assert 0.0 <= float(state.target_entropy) < 0.3
 
@@ -121,9 +124,9 @@ def test_the_target_entropy_can_be_that_of_the_logged_actions():
     def moved(target: float) -> float:
         batch = tiny.batch()
         small = EnsembleSAC(**tiny.SMALL, target_entropy=target)
-        before = small.init(jr.key(0), tiny.SPEC, ())
+        before = small.init(jr.key(0), tiny.SPEC, Models())
         after, _ = small.update(before, batch, jr.key(1))
-        return float(after.log_temperature - before.log_temperature)
+        return float(after.log_temperature.now - before.log_temperature.now)
 
     assert moved(-50.0) < 0.0 < moved(50.0)
 
@@ -132,5 +135,5 @@ def test_without_a_warm_start_nothing_measures_the_logs_randomness():
     with pytest.raises(ConfigError, match="warm_start='returns'"):
         EnsembleSAC(target_entropy="log")
     for number, expected in ((None, -tiny.SPEC.act_dim), (-0.5, -0.5)):
-        state = EnsembleSAC(**tiny.SMALL, target_entropy=number).init(jr.key(0), tiny.SPEC, ())
+        state = EnsembleSAC(**tiny.SMALL, target_entropy=number).init(jr.key(0), tiny.SPEC, Models())
         assert float(state.target_entropy) == expected

@@ -55,7 +55,7 @@ def test_log_density_keeps_its_digits_near_a_bound_and_is_finite_on_it():
 
 
 def test_draws_are_in_bounds_differ_by_key_and_have_the_density_that_is_claimed():
-    actor, rows = tiny.filled(tiny.state_of(EnsembleSAC(**tiny.SMALL)).actor, 5, 3.0), _rows(2000)
+    actor, rows = tiny.filled(tiny.state_of(EnsembleSAC(**tiny.SMALL)).actor.now, 5, 3.0), _rows(2000)
     first, carry = actor.act((), rows, jr.key(0))
     again, _ = actor.act((), rows, jr.key(0))
     other, _ = actor.act((), rows, jr.key(1))
@@ -80,12 +80,12 @@ def test_a_deterministic_actor_ignores_the_key_and_says_that_it_has_no_density()
 
 def test_every_learner_gives_its_actor_and_its_critics_or_none():
     state = tiny.state_of(EnsembleSAC(**tiny.SMALL))
-    assert EnsembleSAC(**tiny.SMALL).actor(state) is state.actor
+    assert EnsembleSAC(**tiny.SMALL).actor(state) is state.actor.now
     assert EnsembleSAC(**tiny.SMALL, deployed_actor="slow").actor(state) is state.slow_actor
-    assert EnsembleSAC(**tiny.SMALL).values(state) is state.critics
+    assert EnsembleSAC(**tiny.SMALL).values(state) == state.online_critics
     quantiles = TruncatedQuantileCritics(hidden_sizes=(4,), num_quantiles=5, num_critics=3)
     state = quantiles.init(jr.key(0), tiny.SPEC)
-    assert quantiles.actor(state) is state.actor
+    assert quantiles.actor(state) is state.actor.now
     rows, actions = _rows(4), jnp.zeros((4, tiny.ACT_DIM))
     assert quantiles.values(state)(rows, actions).shape == (3, 4)
     cloning = BehaviourCloning(hidden_sizes=(4,))
@@ -141,9 +141,11 @@ def test_an_actor_with_a_memory_fits():
 def test_an_actor_that_ranks_candidates_fits():
     state = tiny.state_of(EnsembleSAC(**tiny.SMALL))
     draws = tiny.floats(np.random.default_rng(1).normal(size=(7, tiny.ACT_DIM)))
-    actor, rows = BestCandidate(state.actor, state.critics, draws), _rows(5)
+    actor, rows = BestCandidate(state.actor.now, state.online_critics, draws), _rows(5)
     chosen = actor.mode(rows)
-    candidates = jnp.stack([state.actor.sample(rows, jnp.broadcast_to(draw[None], chosen.shape))[0] for draw in draws])
-    values = jnp.stack([jnp.min(state.critics(rows, actions), axis=0) for actions in candidates])
-    np.testing.assert_allclose(jnp.min(state.critics(rows, chosen), axis=0), jnp.max(values, axis=0), rtol=1e-5)
+    candidates = jnp.stack(
+        [state.actor.now.sample(rows, jnp.broadcast_to(draw[None], chosen.shape))[0] for draw in draws]
+    )
+    values = jnp.stack([jnp.min(state.online_critics(rows, actions), axis=0) for actions in candidates])
+    np.testing.assert_allclose(jnp.min(state.online_critics(rows, chosen), axis=0), jnp.max(values, axis=0), rtol=1e-5)
     assert not np.array_equal(chosen, actor.act((), rows, jr.key(0))[0])

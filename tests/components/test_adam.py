@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 
-from odaf.components.adam import adam_step, first_moments
+from odaf.components.adam import adam_step, initial_moments
 
 
 def test_three_steps_are_those_of_the_paper():
@@ -14,7 +14,7 @@ def test_three_steps_are_those_of_the_paper():
 
     first = {name: np.zeros_like(value) for name, value in expected.items()}
     second = {name: np.zeros_like(value) for name, value in expected.items()}
-    moments = first_moments(parameters)
+    moments = initial_moments(parameters)
     for step, gradient in enumerate(gradients, start=1):
         parameters, moments = adam_step(0.01, gradient, moments, parameters)
         for name, slope in gradient.items():

@@ -37,7 +37,10 @@ def _spec(low: float, high: float, ends: bool):
     ],
 )
 def test_the_value_range_of_known_rewards(low, high, ends, expected):
-    np.testing.assert_allclose(value_range(_spec(low, high, ends), 0.9), expected, rtol=1e-12)
+    bounds = value_range(_spec(low, high, ends), 0.9)
+    np.testing.assert_allclose(np.array(bounds), expected, rtol=1e-12)
+    traced = value_range(_spec(low, high, ends), jnp.asarray(0.9))
+    np.testing.assert_allclose(np.array(traced), expected, rtol=1e-5)
 
 
 @given(

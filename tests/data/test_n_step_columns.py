@@ -10,6 +10,7 @@ from odaf.data import Dataset, Normaliser, device_columns, training_columns
 from odaf.data.mixing_batches import MixedColumns
 from odaf.data.mixture import Mixture
 from odaf.data.sampling import training_column_shapes
+from odaf.data.view import View
 from odaf.errors import DatasetError
 
 DISCOUNT = 0.9
@@ -32,7 +33,7 @@ def _log(terminates: bool) -> Dataset:
 
 
 def _columns(log: Dataset, steps: int):
-    return device_columns(log, Normaliser.identity(1), steps, DISCOUNT)
+    return device_columns(log, Normaliser.identity(1), View(steps, DISCOUNT))
 
 
 @pytest.mark.parametrize("terminates", [True, False])
@@ -76,8 +77,8 @@ def test_more_steps_than_any_episode_has_is_refused() -> None:
 @pytest.mark.parametrize("terminated", [False, True])
 def test_shapes_are_known_before_the_columns_are_there(steps: int, mixture: Mixture | None, terminated: bool) -> None:
     log = dataclasses.replace(_log(terminated), mixture=mixture)
-    shapes = training_column_shapes(log, steps)
-    columns = training_columns(log, Normaliser.identity(1), steps, DISCOUNT)
+    shapes = training_column_shapes(log, View(steps, DISCOUNT))
+    columns = training_columns(log, Normaliser.identity(1), View(steps, DISCOUNT))
     assert jax.tree.structure(shapes) == jax.tree.structure(columns)
     for shape, column in zip(jax.tree.leaves(shapes), jax.tree.leaves(columns), strict=True):
         assert (shape.shape, shape.dtype) == (column.shape, column.dtype)
@@ -86,7 +87,7 @@ def test_shapes_are_known_before_the_columns_are_there(steps: int, mixture: Mixt
 @pytest.mark.parametrize(("steps", "border"), [(1, 4), (2, 3), (3, 2)])
 def test_the_border_of_a_mixture_moves_with_the_rows_that_are_left_out(steps: int, border: int) -> None:
     mixed = dataclasses.replace(_log(False), mixture=Mixture(4, 0.5))
-    columns = training_columns(mixed, Normaliser.identity(1), steps, DISCOUNT)
+    columns = training_columns(mixed, Normaliser.identity(1), View(steps, DISCOUNT))
     assert isinstance(columns, MixedColumns)
     assert (columns.border, columns.ratio) == (border, 0.5)
     first = np.asarray(columns.columns.observations)[:, 0] < 4
@@ -96,4 +97,4 @@ def test_the_border_of_a_mixture_moves_with_the_rows_that_are_left_out(steps: in
 def test_a_part_of_a_mixture_without_so_many_steps_is_refused() -> None:
     mixed = dataclasses.replace(_log(False), mixture=Mixture(4, 0.5))  # its second part is three steps long
     with pytest.raises(DatasetError, match="return_steps=4: no episode of the second part of the mixture"):
-        training_columns(mixed, Normaliser.identity(1), 4, DISCOUNT)
+        training_columns(mixed, Normaliser.identity(1), View(4, DISCOUNT))

@@ -22,15 +22,15 @@ def actor_loss(actor, state, batch, predict, draws, *, policy_weight: float, out
         policy_weight: beta_P.
         outcome_weight: of the last term.
     """
-    loss = soft_actor_critic.actor_loss(actor, state.critics, state.log_temperature, batch, draws["noise"])
+    loss = soft_actor_critic.actor_loss(actor, state.online_critics, state.log_temperature.now, batch, draws["noise"])
     loss += policy_weight * smoothing.worst(smoothing.policy_changes(actor, batch.observations, draws["policy"]))
     spreads = []
     for offset, noise in zip(draws["outcome"], draws["outcome_noise"], strict=True):
         perturbed = numbers(batch.observations) + numbers(offset)
         action, _ = act(actor, perturbed, noise[0])
         outcome = predict(perturbed, action, noise[1])
-        then, _ = act(state.actor, perturbed, noise[2])  # at s^, not at the outcome; a constant
-        values = q_values(state.critics, outcome, then)
+        then, _ = act(state.actor.now, perturbed, noise[2])  # at s^, not at the outcome; a constant
+        values = q_values(state.online_critics, outcome, then)
         mean = values.mean(axis=0)
         spreads.append(np.sqrt(((values - mean) ** 2).sum(axis=0) / (len(values) - 1) + 1e-12))
     return loss + outcome_weight * float(np.mean(spreads))
@@ -56,10 +56,10 @@ def critic_loss(critics, state, batch, draws, *, value_weight, fall_weight, ood_
     loss += value_weight * smoothing.worst(changes)
     return loss + ood_weight * pessimism.pull_down(
         critics,
-        state.actor,
+        state.actor.now,
         pessimism.repeated(batch.observations, draws["ood"]),
         draws["ood_noise"],
         deviations,
         ddof=1,
-        fixed_critics=state.critics,
+        fixed_critics=state.online_critics,
     )

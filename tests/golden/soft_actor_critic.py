@@ -10,9 +10,9 @@ def target(state, batch, noise, discount: float, entropy_in_backup: bool, bounds
 
     For rows that span n steps the caller gives the discount to the power n.
     """
-    actions, log_density = act(state.actor, batch.next_observations, noise)
+    actions, log_density = act(state.actor.now, batch.next_observations, noise)
     values = q_values(state.target_critics, batch.next_observations, actions)
-    alpha = np.exp(float(state.log_temperature))
+    alpha = np.exp(float(state.log_temperature.now))
     y = []
     for row in range(len(actions)):
         value = min(values[:, row])

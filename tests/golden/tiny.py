@@ -13,10 +13,12 @@ import numpy as np
 import pytest
 from jax import dtypes
 
-from odaf.algorithms.ensemble_sac import EnsembleSAC, EnsembleState
+from odaf.algorithms.ensemble_sac import EnsembleSAC
+from odaf.algorithms.ensemble_state import EnsembleState
 from odaf.algorithms.terms import Context
 from odaf.components.critics import CriticEnsemble
 from odaf.components.dynamics import DynamicsConfig, DynamicsModel, untrained
+from odaf.components.trained import Trained
 from odaf.data.dataset import Dataset
 from odaf.data.spec import Spec
 from odaf.data.transitions import Transitions
@@ -52,14 +54,13 @@ def in_double(tree: Tree) -> Tree:
 def batch(rows: int = ROWS, seed: int = 0) -> Transitions:
     """Random rows; every third one is a true end."""
     rng = np.random.default_rng(seed)
-    columns = (
-        rng.normal(size=(rows, OBS_DIM)),
-        rng.uniform(-1.0, 1.0, (rows, ACT_DIM)),
-        rng.uniform(-1.0, 2.0, rows),
-        rng.normal(size=(rows, OBS_DIM)),
-        np.arange(rows) % 3 == 2,
+    return Transitions(
+        floats(rng.normal(size=(rows, OBS_DIM))),
+        floats(rng.uniform(-1.0, 1.0, (rows, ACT_DIM))),
+        floats(rng.uniform(-1.0, 2.0, rows)),
+        floats(rng.normal(size=(rows, OBS_DIM))),
+        floats(np.arange(rows) % 3 == 2),
     )
-    return Transitions(*(floats(column) for column in columns))
 
 
 def filled(structure: Tree, seed: int = 0, size: float = 0.6) -> Tree:
@@ -81,43 +82,54 @@ def _structure(build: Callable, settings):
 
 
 def _initial(learner: EnsembleSAC) -> EnsembleState:
-    return learner.init(jax.random.key(0), SPEC, ())
+    key = jax.random.key(0)
+    return learner.init(key, SPEC, learner.untrained(key, SPEC))
 
 
 def _untrained(config: DynamicsConfig) -> DynamicsModel:
     return untrained(config, jax.random.key(0), OBS_DIM, ACT_DIM)
 
 
-def state_of(learner: EnsembleSAC, *, side=(), bounds=(-np.inf, np.inf), size: float = 0.6) -> EnsembleState:
-    """A learner's state at step 0 with four different random networks and a temperature of a half."""
+def state_of(learner: EnsembleSAC, *, models=(), bounds=(-np.inf, np.inf), size: float = 0.6) -> EnsembleState:
+    """A learner's state at step 0 with four different random networks and a temperature of a half.
+
+    Args:
+        learner: whose state.
+        models: one entry a term, its model; () leaves every term without one.
+        bounds: of the targets.
+        size: of the networks' parameters.
+    """
     shape = _structure(_initial, learner)
+    empty = filled(shape, size=0.0)
+    online = filled(CriticEnsemble(shape.critics.now, shape.priors), 3, size)
+    terms = learner.active_terms
     return dataclasses.replace(
-        filled(shape, size=0.0),
-        actor=filled(shape.actor, 1, size),
-        slow_actor=filled(shape.slow_actor, 2, size),
-        critics=filled(shape.critics, 3, size),
-        target_critics=filled(shape.target_critics, 4, size),
-        log_temperature=floats(np.log(0.5)),
+        empty,
+        actor=Trained(filled(shape.actor.now, 1, size), filled(shape.actor.slow, 2, size), empty.actor.moments),
+        critics=Trained(online.networks, filled(shape.critics.slow, 4, size), empty.critics.moments),
+        priors=online.priors,
+        log_temperature=Trained(floats(np.log(0.5)), None, empty.log_temperature.moments),
         target_entropy=floats(-ACT_DIM if learner.target_entropy is None else learner.target_entropy),
         reward_scale=floats(1.0),
         value_bounds=floats(bounds),
-        side=side,
-        memory=in_double(tuple(term.first_memory() for term in learner.active_terms)),
+        terms=in_double(
+            tuple(term.init(model) for term, model in zip(terms, models or ((),) * len(terms), strict=True))
+        ),
     )
 
 
 def critics(norm: str = "layer", num_critics: int = 3) -> CriticEnsemble:
     """Critics with random parameters."""
-    return state_of(EnsembleSAC(**{**SMALL, "num_critics": num_critics, "critic_norm": norm})).critics
+    return state_of(EnsembleSAC(**{**SMALL, "num_critics": num_critics, "critic_norm": norm})).online_critics
 
 
 def context_of(state: EnsembleState, batch: Transitions) -> Context:
     """What a learner shows to its terms."""
     return Context(
         batch=batch,
-        actor=state.actor,
+        actor=state.actor.now,
         slow_actor=state.slow_actor,
-        critics=state.critics,
+        critics=state.online_critics,
         target_critics=state.target_critics,
         value_bounds=state.value_bounds,
         step=state.step,

@@ -13,9 +13,9 @@ def quantiles(critics, observations, actions) -> np.ndarray:
 
 def targets(state, batch, noise, discount: float, dropped: int) -> list[list[float]]:
     """For each row: the pooled atoms, sorted, without the `dropped` times N largest, with reward and entropy."""
-    actions, log_density = act(state.actor, batch.next_observations, noise)
-    pooled = quantiles(state.target_critics, batch.next_observations, actions)
-    alpha = np.exp(float(state.log_temperature))
+    actions, log_density = act(state.actor.now, batch.next_observations, noise)
+    pooled = quantiles(state.critics.slow, batch.next_observations, actions)
+    alpha = np.exp(float(state.log_temperature.now))
     rows = []
     for row in range(len(actions)):
         atoms = sorted(pooled[:, row].ravel().tolist())[: pooled.shape[0] * (pooled.shape[2] - dropped)]

@@ -25,12 +25,12 @@ def trained(learner, dataset: Dataset, updates: int, seeds: int = 3, value_bound
         value_bounds: replaces the learner's own, one pair a seed.
     """
     normaliser, spec = Normaliser.identity(dataset.obs_dim), dataset.spec()
-    columns = device_columns(dataset, normaliser, learner.return_steps, learner.discount)
-    side, _ = learner.pretrain(dataset, normaliser, jr.key(0), lambda *_: None)
+    columns = device_columns(dataset, normaliser, learner.view())
+    models, _ = learner.pretrain(dataset, normaliser, jr.key(0), lambda *_: None)
 
     def run(key, bounds):
         key_init, key_train = jr.split(key)
-        state = learner.init(key_init, spec, side)
+        state = learner.init(key_init, spec, models)
         if bounds is not None:
             state = dataclasses.replace(state, value_bounds=bounds)
 
@@ -54,7 +54,7 @@ def values_at(states, observation, actions) -> np.ndarray:
     """[seeds] mean over given actions [n, act_dim] of the lowest member's value at one observation."""
     actions = jnp.asarray(actions, jnp.float32)
     rows = jnp.broadcast_to(jnp.asarray(observation, jnp.float32)[None, :], (len(actions), len(observation)))
-    return np.asarray(jax.vmap(lambda state: jnp.mean(jnp.min(state.critics(rows, actions), axis=0)))(states))
+    return np.asarray(jax.vmap(lambda state: jnp.mean(jnp.min(state.online_critics(rows, actions), axis=0)))(states))
 
 
 def rows(observations, actions, rewards, next_observations, terminated) -> Dataset:

@@ -241,7 +241,7 @@ def test_methods_take_a_terms_fields_as_a_table():
     table = methods.ODAF(num_critics=4, outcome={"weight": 1.0, "dynamics": {"kind": "ensemble"}})
     dotted = {"num_critics": 4, "outcome.weight": 1.0, "outcome.dynamics.kind": "ensemble"}
     assert table == presets.load("odaf", dotted)
-    assert methods.preset("sac-n", discount=0.9).discount == 0.9
+    assert methods.preset("sac-n", discount=0.9).view().discount == 0.9
 
 
 def test_listing_presets_loads_no_array_library():
@@ -283,7 +283,7 @@ def test_an_update_returns_the_types_that_it_takes(name):
     """Else the second call would be compiled again."""
     algorithm = presets.load(name, {"hidden_sizes": (8, 8), "batch_size": 4})
     spec = Spec(3, 2, (-1.0, -1.0), (1.0, 1.0), 0.0, 1.0, False, 10)
-    state = algorithm.init(jr.key(0), spec, algorithm.untrained_side(jr.key(1), spec))
+    state = algorithm.init(jr.key(0), spec, algorithm.untrained(jr.key(1), spec))
     rows = Transitions(jnp.ones((4, 3)), jnp.zeros((4, 2)), jnp.ones(4), jnp.ones((4, 3)), jnp.zeros(4))
     arrays, static = eqx.partition(state, eqx.is_array)
 

@@ -361,9 +361,9 @@ def test_other_loggers_hear_what_the_file_holds(tiny, tmp_path):
 
 def test_state_keeps_firm_types_and_separate_buffers():
     shared = jnp.ones(3)
-    settled = loop.settled({"a": shared, "b": shared, "c": jnp.asarray(1.0)})
-    assert settled["a"].unsafe_buffer_pointer() != settled["b"].unsafe_buffer_pointer()
-    assert not any(leaf.weak_type for leaf in jax.tree.leaves(settled))
+    donatable = loop.donatable({"a": shared, "b": shared, "c": jnp.asarray(1.0)})
+    assert donatable["a"].unsafe_buffer_pointer() != donatable["b"].unsafe_buffer_pointer()
+    assert not any(leaf.weak_type for leaf in jax.tree.leaves(donatable))
 
 
 def test_training_is_compiled_before_anything_is_trained_and_once_for_all_seeds(tiny, tmp_path, monkeypatch):

@@ -22,7 +22,7 @@ SEEDS = (3, 5, 8)
 def _first(learner, dataset, seed):
     normaliser = Normaliser.fit(dataset.observations)
     side, _ = learner.pretrain(dataset, normaliser, loop.pretrain_key(seed), lambda *_: None)
-    return loop.settled(loop.first_state(learner, dataset.spec(), loop.init_key(seed), side))
+    return loop.donatable(loop.first_state(learner, dataset.spec(), loop.init_key(seed), side))
 
 
 def _fixed(learner, dataset, key, first, last):
@@ -73,7 +73,7 @@ for learner in (tiny.TinyLearner(), odaf.EnsembleSAC(num_critics=2, hidden_sizes
     found = []
     for devices in (1, 4):
         side, _ = learner.pretrain(dataset, Normaliser.fit(dataset.observations), jax.random.key(1), lambda *_: None)
-        state = loop.settled(loop.first_state(learner, dataset.spec(), loop.init_key(0), side))
+        state = loop.donatable(loop.first_state(learner, dataset.spec(), loop.init_key(0), side))
         mesh, here = None, columns
         if devices > 1:
             mesh = loop.batch_mesh(devices, learner.batch_size)

@@ -29,7 +29,7 @@ def drawn(tiny, columns, updates, seed=0):
             return state, {f"place/{place}": batch.rewards[place] for place in range(self.batch_size)}
 
     learner, found = Recorder(), []
-    state = loop.settled(learner.init(jr.key(0), tiny.tiny_dataset().spec(), jnp.zeros(2)))
+    state = loop.donatable(learner.init(jr.key(0), tiny.tiny_dataset().spec(), jnp.zeros(2)))
     for step in range(updates):
         fixed = (learner, columns, loop.training_key(seed), jnp.asarray(step), jnp.asarray(step + 1))
         state, metrics = loop.train_stretch(*fixed, state)

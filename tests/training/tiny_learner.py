@@ -16,6 +16,7 @@ from jaxtyping import Array, Float, Int
 from odaf.algorithms.base import Algorithm, LearnerState
 from odaf.components.policies import Actor
 from odaf.data.dataset import Dataset
+from odaf.data.view import View
 from odaf.training import Evaluation, Policy
 
 
@@ -23,7 +24,7 @@ class TinyState(LearnerState):
     step: Int[Array, ""]
     weights: Float[Array, "obs_dim act_dim"]
     slow: Float[Array, "obs_dim act_dim"]
-    side: Float[Array, " act_dim"]
+    offset: Float[Array, " act_dim"]
 
 
 class TinyActor(Actor):
@@ -36,7 +37,7 @@ class TinyActor(Actor):
 
 @dataclasses.dataclass(frozen=True)
 class TinyLearner(Algorithm):
-    """Noisy least squares with a slow copy and a side vector: random keys, batches and every part of a state matter."""
+    """Noisy least squares with a slow copy and an offset: random keys, batches and every part of a state matter."""
 
     kind: ClassVar[str] = "tiny"
 
@@ -46,19 +47,22 @@ class TinyLearner(Algorithm):
     blow_up_at: int = -1  # from this update on, metrics leave every range
     value_range: str = "none"
 
-    def untrained_side(self, key, spec):
+    def view(self):
+        return View(discount=self.discount)
+
+    def untrained(self, key, spec):
         return jr.normal(key, (spec.act_dim,))
 
     def pretrain(self, dataset, normaliser, key, progress):
-        progress("side", 1, 1)
-        return jr.normal(key, (dataset.act_dim,)), {"error": 0.25, "warnings": ["the side vector is random"]}
+        progress("offset", 1, 1)
+        return jr.normal(key, (dataset.act_dim,)), {"error": 0.25, "warnings": ["the offset is random"]}
 
-    def init(self, key, spec, side):
+    def init(self, key, spec, models):
         weights = jr.normal(key, (spec.obs_dim, spec.act_dim))
-        return TinyState(jnp.asarray(0), weights, weights, side)  # one buffer twice, as learners may do
+        return TinyState(jnp.asarray(0), weights, weights, models)  # one buffer twice, as learners may do
 
     def update(self, state: Any, batch, key):
-        error = batch.observations @ state.weights + state.side[None, :] - batch.actions
+        error = batch.observations @ state.weights + state.offset[None, :] - batch.actions
         gradient = batch.observations.T @ error / self.batch_size
         noise = 0.01 * jr.normal(key, state.weights.shape)
         weights = state.weights - self.learning_rate * gradient + noise
@@ -71,10 +75,10 @@ class TinyLearner(Algorithm):
             "critic/max": blown,
         }
         slow = 0.9 * state.slow + 0.1 * weights
-        return TinyState(state.step + 1, weights, slow, state.side), metrics
+        return TinyState(state.step + 1, weights, slow, state.offset), metrics
 
     def actor(self, state: Any):
-        return TinyActor(state.weights, state.side)
+        return TinyActor(state.weights, state.offset)
 
 
 @dataclasses.dataclass

@@ -11,8 +11,10 @@ from odaf.components.critics import CriticEnsemble
 from odaf.components.policies import Actor
 from odaf.data.dataset import Dataset
 from odaf.data.normalisation import Normaliser
+from odaf.data.sampling import Columns, sample
 from odaf.data.spec import Spec
 from odaf.data.transitions import Transitions
+from odaf.data.view import View
 
 Metrics = dict[str, Float[Array, ""]]
 PretrainProgress = Callable[[str, int, int], None]
@@ -30,24 +32,33 @@ State = TypeVar("State", bound=LearnerState)
 class Algorithm(abc.ABC, Generic[State]):
     """A learner's settings (a frozen dataclass) and its pure functions.
 
-    The loop calls, in this order: `untrained_side`, `pretrain`, `init`, then `update` inside compiled stretches, and
-    `actor` for evaluation. Observations are normalised and actions scaled to [-1, 1] everywhere in here.
+    The loop calls, in this order: `view`, `pretrain`, `init`, then `refresh`, `batch` and `update` inside compiled
+    stretches, and `actor` for evaluation. Observations are normalised and actions scaled to [-1, 1] everywhere in here.
+
+    Settings that are floating-point numbers other than 0 are traced: inside compiled code they are arrays, so that
+    learners that differ in them alone share one program. A number that is exactly 0 switches its part off and is part
+    of the structure; ask with `odaf.algorithms.numbers.is_off`. Fields named in `structural` stay what they are.
     """
 
     kind: ClassVar[str]
-    discount: float
+    structural: ClassVar[frozenset[str]] = frozenset()
+    refresh_every: int = 0
+    """Updates between two calls of `refresh`, the first one before the first update; 0 never calls it."""
     batch_size: int
-    return_steps: int = 1  # n: a row of a batch spans n steps, and its reward is the discounted sum over them
 
-    @abc.abstractmethod
-    def untrained_side(self, key: PRNGKeyArray, spec: Spec) -> PyTree:
-        """Side networks before pre-training, in the structure that `pretrain` returns; () when there are none."""
+    def view(self) -> View:
+        """What of the log the learner sees; by default single rows with the reward as logged."""
+        return View()
 
-    @abc.abstractmethod
+    def untrained(self, key: PRNGKeyArray, spec: Spec) -> PyTree:
+        """Models before pre-training, in the structure that `pretrain` returns; () when there are none."""
+        del key, spec
+        return ()
+
     def pretrain(
         self, dataset: Dataset, normaliser: Normaliser, key: PRNGKeyArray, progress: PretrainProgress
     ) -> tuple[PyTree, dict[str, Any]]:
-        """Train the side networks on the log.
+        """Train the models that the learner needs beforehand on the log; by default there are none.
 
         Args:
             dataset: the log, in the user's units.
@@ -56,12 +67,32 @@ class Algorithm(abc.ABC, Generic[State]):
             progress: called with (stage, steps done, steps in all).
 
         Returns:
-            The side networks and a JSON-able report, whose entry "warnings" lists sentences for the user.
+            The models and a JSON-able report, whose entry "warnings" lists sentences for the user.
         """
+        del dataset, normaliser, key, progress
+        return (), {"warnings": []}
 
     @abc.abstractmethod
-    def init(self, key: PRNGKeyArray, spec: Spec, side: PyTree) -> State:
-        """State at step 0 around given side networks."""
+    def init(self, key: PRNGKeyArray, spec: Spec, models: PyTree) -> State:
+        """State at step 0 around the models of `pretrain`."""
+
+    def refresh(self, state: State, columns: Columns, key: PRNGKeyArray) -> State:
+        """What happens before every `refresh_every`-th update, such as rolling a model out into a buffer of the state.
+
+        Pure and traceable. It happens by the number of the update, so where a run is cut changes no bit of it.
+
+        Args:
+            state: after a multiple of `refresh_every` updates, 0 included.
+            columns: what batches are drawn from.
+            key: random key of this refresh alone.
+        """
+        del columns, key
+        return state
+
+    def batch(self, state: State, columns: Columns, key: PRNGKeyArray) -> Transitions:
+        """The rows of one update; by default `batch_size` rows of the log, all equally likely."""
+        del state
+        return sample(columns, key, self.batch_size)
 
     @abc.abstractmethod
     def update(self, state: State, batch: Transitions, key: PRNGKeyArray) -> tuple[State, Metrics]:

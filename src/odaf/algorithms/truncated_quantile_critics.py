@@ -16,25 +16,20 @@ loss is a sum over critics instead of a mean, which Adam does not notice.
 """
 
 import dataclasses
-import math
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import jax.random as jr
-import optax
-from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, PyTree
 
-from odaf.algorithms.base import Algorithm, LearnerState, Metrics, PretrainProgress
-from odaf.components.adam import adam_step, first_moments
+from odaf.algorithms.base import Algorithm, LearnerState, Metrics
 from odaf.components.critics import CriticEnsemble, over_members
 from odaf.components.losses import soft_actor_loss, temperature_loss
 from odaf.components.networks import MLP, init_mlp
 from odaf.components.policies import GaussianActor, init_gaussian_actor
-from odaf.components.targets import copy_of, polyak
-from odaf.data.dataset import Dataset
-from odaf.data.normalisation import Normaliser
+from odaf.components.trained import Trained
 from odaf.data.spec import Spec
 from odaf.data.transitions import Transitions
 from odaf.errors import ConfigError
@@ -44,13 +39,9 @@ class TQCState(LearnerState):
     """State of the truncated quantile critics."""
 
     step: Int[Array, ""]
-    actor: GaussianActor
-    critics: MLP  # a stack of N networks with M outputs
-    target_critics: MLP
-    log_temperature: Float[Array, ""]
-    actor_optimiser: optax.OptState
-    critic_optimiser: optax.OptState
-    temperature_optimiser: optax.OptState
+    actor: Trained[GaussianActor]  # no slow copy
+    critics: Trained[MLP]  # a stack of N networks with M outputs, and their slow copies
+    log_temperature: Trained[Float[Array, ""]]  # no slow copy
 
 
 # ---- losses -----------------------------------------------------------------------------------------------------
@@ -169,32 +160,19 @@ class TruncatedQuantileCritics(Algorithm[TQCState]):
         if self.initial_temperature <= 0.0:
             raise ConfigError(f"initial_temperature={self.initial_temperature} must be positive")
 
-    def untrained_side(self, key: PRNGKeyArray, spec: Spec) -> tuple[()]:
-        """There are no side networks."""
-        return ()
-
-    def pretrain(
-        self, dataset: Dataset, normaliser: Normaliser, key: PRNGKeyArray, progress: PretrainProgress
-    ) -> tuple[tuple[()], dict[str, Any]]:
-        """Nothing to train beforehand."""
-        return (), {"warnings": []}
-
-    def init(self, key: PRNGKeyArray, spec: Spec, side: tuple[()] = ()) -> TQCState:
+    def init(self, key: PRNGKeyArray, spec: Spec, models: PyTree = ()) -> TQCState:
         """Random networks, target critics equal to the critics, fresh optimisers."""
+        del models
         key_actor, key_critics = jr.split(key)
         actor = init_gaussian_actor(key_actor, spec.obs_dim, spec.act_dim, self.hidden_sizes)
         sizes = (spec.obs_dim + spec.act_dim, *self.hidden_sizes, self.num_quantiles)
         critics = init_mlp(key_critics, sizes, members=self.num_critics, hidden_bias=0.0)
-        log_temperature = jnp.asarray(math.log(self.initial_temperature), dtype=jnp.float32)
+        log_temperature = jnp.log(jnp.asarray(self.initial_temperature, jnp.float32))
         return TQCState(
             step=jnp.asarray(0),
-            actor=actor,
-            critics=critics,
-            target_critics=copy_of(critics),
-            log_temperature=log_temperature,
-            actor_optimiser=first_moments(actor),
-            critic_optimiser=first_moments(critics),
-            temperature_optimiser=first_moments(log_temperature),
+            actor=Trained.begin(actor, slow=False),
+            critics=Trained.begin(critics),
+            log_temperature=Trained.begin(log_temperature, slow=False),
         )
 
     def target(
@@ -202,11 +180,12 @@ class TruncatedQuantileCritics(Algorithm[TQCState]):
     ) -> tuple[Float[Array, "atoms rows"], Bool[Array, "atoms rows"]]:
         """y_j of all N M atoms, and which of them are kept."""
         noise = jr.normal(key, batch.actions.shape)
-        next_actions, log_density = state.actor.sample(batch.next_observations, noise)
+        next_actions, log_density = state.actor.now.sample(batch.next_observations, noise)
         inputs = jnp.concatenate([batch.next_observations, next_actions], axis=-1)
-        atoms = over_members(lambda network: network(inputs).T, state.target_critics).reshape(-1, inputs.shape[0])
+        assert state.critics.slow is not None
+        atoms = over_members(lambda network: network(inputs).T, state.critics.slow).reshape(-1, inputs.shape[0])
         kept = without_largest(atoms, self.num_critics * self.dropped)
-        soft = atoms - (jnp.exp(state.log_temperature) * log_density)[None, :]
+        soft = atoms - (jnp.exp(state.log_temperature.now) * log_density)[None, :]
         alive = self.discount * (1.0 - batch.terminated)
         return batch.rewards[None, :] + alive[None, :] * soft, kept
 
@@ -223,7 +202,7 @@ class TruncatedQuantileCritics(Algorithm[TQCState]):
             (value, mean), gradient = jax.value_and_grad(loss, has_aux=True)(network)
             return gradient, value, mean
 
-        gradient, losses, means = over_members(member, state.critics)
+        gradient, losses, means = over_members(member, state.critics.now)
         return gradient, {"critic/loss": jnp.sum(losses), "critic/mean": jnp.mean(means)}
 
     def actor_loss(
@@ -231,47 +210,37 @@ class TruncatedQuantileCritics(Algorithm[TQCState]):
     ) -> tuple[Float[Array, ""], Float[Array, " rows"]]:
         """L_pi as a function of the actor; also log pi(a~|s) for the temperature."""
         actions, log_density = actor.sample(batch.observations, jr.normal(key, batch.actions.shape))
-        values = jnp.mean(mean_critics(state.critics).as_constants(batch.observations, actions), axis=0)
-        return soft_actor_loss(log_density, values, jnp.exp(state.log_temperature)), log_density
+        values = jnp.mean(mean_critics(state.critics.now).as_constants(batch.observations, actions), axis=0)
+        return soft_actor_loss(log_density, values, jnp.exp(state.log_temperature.now)), log_density
 
     def update(self, state: TQCState, batch: Transitions, key: PRNGKeyArray) -> tuple[TQCState, Metrics]:
         """Actor, temperature and critics step from the same old parameters; then the target critics move."""
         key_actor, key_critic = jr.split(key)
         (loss, log_density), actor_gradient = eqx.filter_value_and_grad(self.actor_loss, has_aux=True)(
-            state.actor, state, batch, key_actor
+            state.actor.now, state, batch, key_actor
         )
         critic_gradient, metrics = self.critic_gradient(state, batch, key_critic)
         target_entropy = float(-batch.actions.shape[1]) if self.target_entropy is None else self.target_entropy
-        temperature_gradient = jax.grad(temperature_loss)(state.log_temperature, log_density, target_entropy)
+        temperature_gradient = jax.grad(temperature_loss)(state.log_temperature.now, log_density, target_entropy)
 
-        actor, actor_optimiser = adam_step(self.learning_rate, actor_gradient, state.actor_optimiser, state.actor)
-        critics, critic_optimiser = adam_step(
-            self.learning_rate, critic_gradient, state.critic_optimiser, state.critics
-        )
-        log_temperature, temperature_optimiser = adam_step(
-            self.learning_rate, temperature_gradient, state.temperature_optimiser, state.log_temperature
-        )
+        log_temperature = state.log_temperature.stepped(temperature_gradient, self.learning_rate)
         new_state = TQCState(
             step=state.step + 1,
-            actor=actor,
-            critics=critics,
-            target_critics=polyak(state.target_critics, critics, self.target_rate),
+            actor=state.actor.stepped(actor_gradient, self.learning_rate),
+            critics=state.critics.stepped(critic_gradient, self.learning_rate, self.target_rate),
             log_temperature=log_temperature,
-            actor_optimiser=actor_optimiser,
-            critic_optimiser=critic_optimiser,
-            temperature_optimiser=temperature_optimiser,
         )
         metrics |= {
             "actor/loss": loss,
             "actor/entropy": -jnp.mean(log_density),
-            "temperature/value": jnp.exp(log_temperature),
+            "temperature/value": jnp.exp(log_temperature.now),
         }
         return new_state, metrics
 
     def actor(self, state: TQCState) -> GaussianActor:
         """pi."""
-        return state.actor
+        return state.actor.now
 
     def values(self, state: TQCState) -> CriticEnsemble:
         """The mean of each critic's quantiles."""
-        return mean_critics(state.critics)
+        return mean_critics(state.critics.now)

@@ -1,23 +1,23 @@
 """Adam as two functions of arrays, so that learners carry nothing but its moments from update to update."""
 
 import optax
-from jaxtyping import PyTree
+from jaxtyping import PyTree, ScalarLike
 
 
-def first_moments(parameters: PyTree) -> optax.OptState:
+def initial_moments(parameters: PyTree) -> optax.OptState:
     """Adam's state before the first step: zeros of the parameters' shapes, and a count of steps."""
     return optax.adam(1.0).init(parameters)  # whatever the rate, the state is the same
 
 
 def adam_step(
-    rate: float, gradient: PyTree, moments: optax.OptState, parameters: PyTree
+    rate: ScalarLike, gradient: PyTree, moments: optax.OptState, parameters: PyTree
 ) -> tuple[PyTree, optax.OptState]:
     """One step of Adam (Kingma & Ba 2015) with the usual decay rates, 0.9 and 0.999.
 
     Args:
         rate: step size.
         gradient: of the loss, with the structure of `parameters`.
-        moments: from `first_moments` or the step before.
+        moments: from `initial_moments` or the step before.
         parameters: what to move.
 
     Returns:

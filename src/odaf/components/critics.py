@@ -7,11 +7,10 @@ from typing import TypeVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import jax.random as jr
 from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 
 from odaf.components.networks import MLP, Norm, Products, init_mlp
-from odaf.components.targets import frozen
+from odaf.components.priors import Priors
 
 ROOT_EPSILON = 1e-12
 UNROLLED = 10  # members that are compiled side by side on several cores
@@ -60,8 +59,7 @@ class CriticEnsemble(eqx.Module):
     """
 
     networks: MLP
-    priors: MLP | None = None  # never trained
-    prior_scale: float = eqx.field(static=True, default=0.0)
+    priors: Priors | None = None
 
     def __call__(
         self, observations: Float[Array, "rows obs_dim"], actions: Float[Array, "rows act_dim"]
@@ -73,9 +71,7 @@ class CriticEnsemble(eqx.Module):
     def value(self, inputs: Float[Array, "rows in_dim"]) -> Float[Array, " rows"]:
         """Q_k of a single member for rows of states and actions side by side; its prior gets no gradient."""
         values = self.networks(inputs)[:, 0]
-        if self.priors is None:
-            return values
-        return values + self.prior_scale * frozen(self.priors)(inputs)[:, 0]
+        return values if self.priors is None else values + self.priors.value(inputs)
 
     def as_constants(
         self, observations: Float[Array, "rows obs_dim"], actions: Float[Array, "rows act_dim"]
@@ -122,10 +118,9 @@ def init_critics(
     num_critics: int,
     norm: Norm,
     output_bound: float,
-    prior_scale: float = 0.0,
     products: Products = "float32",
-) -> CriticEnsemble:
-    """Draw `num_critics` independent Q-functions.
+) -> MLP:
+    """Draw the networks of `num_critics` independent Q-functions as one stack.
 
     Args:
         key: random key.
@@ -135,16 +130,10 @@ def init_critics(
         num_critics: K.
         norm: whether hidden layers are normalised.
         output_bound: the last layer is uniform in plus or minus this.
-        prior_scale: factor of a fixed random network of the same shape, drawn like a hidden layer throughout, that is
-            added to each member (Osband et al. 2018, randomised prior functions); 0 adds none.
         products: what the products between hidden layers round their factors to.
     """
     sizes = (obs_dim + act_dim, *hidden_sizes, 1)
-    networks = init_mlp(key, sizes, members=num_critics, norm=norm, output_bound=output_bound, products=products)
-    if prior_scale == 0.0:
-        return CriticEnsemble(networks)
-    priors = init_mlp(jr.fold_in(key, len(sizes)), sizes, members=num_critics, products=products)
-    return CriticEnsemble(networks, priors, prior_scale)
+    return init_mlp(key, sizes, members=num_critics, norm=norm, output_bound=output_bound, products=products)
 
 
 def disagreement(values: Float[Array, "critics *rows"], ddof: int = 0) -> Float[Array, "*rows"]:

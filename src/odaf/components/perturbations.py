@@ -5,13 +5,13 @@ from collections.abc import Callable
 import jax
 import jax.numpy as jnp
 import jax.random as jr
-from jaxtyping import Array, Float, PRNGKeyArray
+from jaxtyping import Array, Float, PRNGKeyArray, ScalarLike
 
 Objective = Callable[[Float[Array, "rows obs_dim"]], Float[Array, " rows"]]
 
 
 def draw_offsets(
-    key: PRNGKeyArray, draws: int, rows: int, obs_dim: int, radius: float, *, shared: bool, include_centre: bool
+    key: PRNGKeyArray, draws: int, rows: int, obs_dim: int, radius: ScalarLike, *, shared: bool, include_centre: bool
 ) -> Float[Array, "draws rows obs_dim"]:
     """Uniform offsets in the box.
 
@@ -30,7 +30,7 @@ def draw_offsets(
 
 
 def signed_ascent(
-    objective: Objective, offsets: Float[Array, "rows obs_dim"], radius: float, steps: int
+    objective: Objective, offsets: Float[Array, "rows obs_dim"], radius: ScalarLike, steps: int
 ) -> Float[Array, "rows obs_dim"]:
     """Offsets that raise a row-wise objective, by projected steps along the sign of its gradient.
 

@@ -5,7 +5,7 @@ from typing import TypeVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float, PyTree, ScalarLike
 
 from odaf.data.spec import Spec
 
@@ -16,14 +16,14 @@ def bellman_target(
     rewards: Float[Array, "*one rows"],
     terminated: Float[Array, "*one rows"],
     next_values: Float[Array, "*critics rows"],
-    discount: float,
+    discount: ScalarLike,
 ) -> Float[Array, "*critics rows"]:
     """y = r + discount * (1 - d) * V(s'): a true end bootstraps to zero, a time-out (d = 0) does not."""
     return rewards + discount * (1.0 - terminated) * next_values
 
 
-def value_range(spec: Spec, discount: float) -> tuple[float, float]:
-    """Smallest and largest discounted return that the logged rewards allow.
+def value_range(spec: Spec, discount: ScalarLike) -> tuple[ScalarLike, ScalarLike]:
+    """Smallest and largest discounted return that the logged rewards allow; floats for a float, else arrays.
 
     A stream of rewards in [r_min, r_max] that goes on for ever is worth between r_min / (1 - discount) and
     r_max / (1 - discount). Where the log shows true ends, a stream may also stop after one reward, so r_min and r_max
@@ -32,11 +32,13 @@ def value_range(spec: Spec, discount: float) -> tuple[float, float]:
     horizon = 1.0 / (1.0 - discount)
     low, high = spec.reward_min * horizon, spec.reward_max * horizon
     if spec.ever_terminates:
-        low, high = min(low, spec.reward_min), max(high, spec.reward_max)
+        if isinstance(low, float) and isinstance(high, float):
+            return min(low, spec.reward_min), max(high, spec.reward_max)
+        return jnp.minimum(low, spec.reward_min), jnp.maximum(high, spec.reward_max)
     return low, high
 
 
-def polyak(slow: Networks, online: Networks, rate: float) -> Networks:
+def polyak(slow: Networks, online: Networks, rate: ScalarLike) -> Networks:
     """(1 - rate) * slow + rate * online, leaf by leaf."""
     moving, fixed = eqx.partition(slow, eqx.is_inexact_array)
     new, _ = eqx.partition(online, eqx.is_inexact_array)

@@ -1,5 +1,7 @@
 """A dataset on the device, and batches drawn from it inside compiled code."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import jax.random as jr
@@ -9,34 +11,35 @@ from jaxtyping import Array, PRNGKeyArray
 from odaf.data.dataset import Dataset
 from odaf.data.mixing_batches import MixedColumns, sample_mixed
 from odaf.data.normalisation import Normaliser, scale_actions
+from odaf.data.returns_to_go import returns_to_go
 from odaf.data.transitions import Transitions
+from odaf.data.view import Extra, View
 from odaf.errors import DatasetError
 
 # What training draws its batches from.
 Columns = Transitions | MixedColumns
 
 
-def training_columns(dataset: Dataset, normaliser: Normaliser, return_steps: int = 1, discount: float = 1.0) -> Columns:
+def training_columns(dataset: Dataset, normaliser: Normaliser, view: View = View()) -> Columns:
     """What `sample` draws batches from: `device_columns`, with the mixture of the data where they have one.
 
     Raises:
         DatasetError: as `device_columns`, or a part of a mixture has no row with so many steps.
     """
-    return _with_mixture(device_columns(dataset, normaliser, return_steps, discount), dataset, return_steps)
+    return _with_mixture(device_columns(dataset, normaliser, view), dataset, view.return_steps)
 
 
-def training_column_shapes(dataset: Dataset, return_steps: int = 1) -> Columns:
+def training_column_shapes(dataset: Dataset, view: View = View()) -> Columns:
     """The shapes of `training_columns`, with nothing put on the device; raises what that does."""
-    rows = len(dataset) if return_steps == 1 else len(_n_step_rows(dataset, return_steps)[1])
-
-    states, actions = dataset.observations.shape[1], dataset.actions.shape[1]
+    rows = len(dataset) if view.return_steps == 1 else len(_n_step_rows(dataset, view.return_steps)[1])
+    states, actions = dataset.obs_dim, dataset.act_dim
 
     def columns() -> Transitions:
         state, action, number = (jnp.zeros(shape) for shape in ((rows, states), (rows, actions), (rows,)))
-        return Transitions(state, action, number, state, number)
+        extras = {name: action if name == "next_actions" else number for name in view.extras}
+        return Transitions(state, action, number, state, number, extras)
 
-    shapes = jax.eval_shape(columns)
-    return _with_mixture(shapes, dataset, return_steps)
+    return _with_mixture(jax.eval_shape(columns), dataset, view.return_steps)
 
 
 def _with_mixture(columns: Transitions, dataset: Dataset, return_steps: int) -> Columns:
@@ -54,27 +57,55 @@ def _with_mixture(columns: Transitions, dataset: Dataset, return_steps: int) -> 
     return MixedColumns(columns, border, dataset.mixture.ratio)
 
 
-def device_columns(
-    dataset: Dataset, normaliser: Normaliser, return_steps: int = 1, discount: float = 1.0
-) -> Transitions:
+def device_columns(dataset: Dataset, normaliser: Normaliser, view: View = View()) -> Transitions:
     """The dataset's rows on the default device: observations normalised, actions scaled to [-1, 1].
 
     Args:
         dataset: the log.
         normaliser: the observation scaling.
-        return_steps: n. Each row gets the discounted sum of the n rewards from it on, the successor n steps later, and
-            whether the task ended on the way; its value then bootstraps with discount to the power n. Rows that are
-            fewer than n steps away from the cut of their episode have no such successor and are left out.
-        discount: weight of a reward one step later, in that sum.
+        view: what of it the learner sees. With n `return_steps`, each row gets the discounted sum of the n rewards from
+            it on, the successor n steps later, and whether the task ended on the way; its value then bootstraps with
+            discount to the power n. Rows that are fewer than n steps away from the cut of their episode have no such
+            successor and are left out.
+
+    Raises:
+        DatasetError: no episode has so many steps.
     """
-    rewards, last, kept = _n_step(dataset, return_steps, discount)
+    rewards, last, kept = _n_step(dataset, view)
     return Transitions(
         observations=_on_device(normaliser.normalise(dataset.observations[kept])),
         actions=_on_device(scale_actions(dataset.actions[kept], dataset.action_low, dataset.action_high)),
         rewards=_on_device(rewards),
         next_observations=_on_device(normaliser.normalise(dataset.next_observations[last])),
         terminated=_on_device(dataset.terminated[last].astype(np.float32)),
+        extras={name: _on_device(_extra(name, dataset, view, last, kept)) for name in view.extras},
     )
+
+
+def _extra(name: Extra, dataset: Dataset, view: View, last: np.ndarray | slice, kept: np.ndarray | slice) -> np.ndarray:
+    """One of the view's further columns, float32 [kept rows] or [kept rows, act_dim]."""
+    rows = np.arange(len(dataset))
+    is_last = np.append(np.diff(np.repeat(np.arange(dataset.num_episodes), dataset.episode_lengths())) != 0, True)
+    if name == "next_actions":
+        following = np.where(is_last, rows, rows + 1)[last]
+        actions = scale_actions(dataset.actions[following], dataset.action_low, dataset.action_high)
+        return np.where(is_last[last][:, None], np.float32(0.0), actions)
+    if name == "followed":
+        return (~is_last[last]).astype(np.float32)
+    if name == "successor_known":
+        repeats = np.all(dataset.observations[last] == dataset.next_observations[last], axis=1)
+        return (~(dataset.terminated[last] & repeats)).astype(np.float32)
+    if name == "returns_to_go":
+        assert view.discount is not None  # a view insists on it
+        scaled = replace(dataset, rewards=_shown_rewards(dataset, view), source="returns_to_go")
+        return returns_to_go(scaled, view.discount)[kept]
+    return (rows - np.repeat(dataset.episode_starts, dataset.episode_lengths())).astype(np.float32)[kept]
+
+
+def _shown_rewards(dataset: Dataset, view: View) -> np.ndarray:
+    if view.reward_scale == 1.0 and view.reward_shift == 0.0:
+        return dataset.rewards  # without a copy
+    return (view.reward_scale * (dataset.rewards.astype(np.float64) + view.reward_shift)).astype(np.float32)
 
 
 def _on_device(column: np.ndarray) -> Array:
@@ -82,18 +113,20 @@ def _on_device(column: np.ndarray) -> Array:
     return jax.block_until_ready(jax.device_put(column))  # `jnp.asarray` would copy it once more on the way
 
 
-def _n_step(dataset: Dataset, steps: int, discount: float) -> tuple[np.ndarray, np.ndarray | slice, np.ndarray | slice]:
+def _n_step(dataset: Dataset, view: View) -> tuple[np.ndarray, np.ndarray | slice, np.ndarray | slice]:
     """(n-step rewards, row that holds the n-step successor, row it belongs to), each [kept rows]."""
-    if steps == 1:
-        return dataset.rewards, slice(None), slice(None)  # all rows, without a copy of them
+    rewards = _shown_rewards(dataset, view)
+    if view.return_steps == 1:
+        return rewards, slice(None), slice(None)  # all rows, without a copy of them
+    assert view.discount is not None  # a view insists on it
     rows = np.arange(len(dataset))
-    last, kept = _n_step_rows(dataset, steps)
+    last, kept = _n_step_rows(dataset, view.return_steps)
     total = np.zeros(len(dataset))
     lengths = dataset.episode_lengths()
     stops = np.repeat(dataset.episode_starts + lengths, lengths)
-    for ahead in range(steps):
+    for ahead in range(view.return_steps):
         inside = rows + ahead < stops
-        total[inside] += discount**ahead * dataset.rewards[rows[inside] + ahead]
+        total[inside] += view.discount**ahead * rewards[rows[inside] + ahead]
     return total[kept].astype(np.float32), last, kept
 
 

@@ -13,6 +13,7 @@ class Transitions(eqx.Module):
 
     observations: Float[Array, "batch obs_dim"]  # normalised
     actions: Float[Array, "batch act_dim"]  # scaled to [-1, 1]
-    rewards: Float[Array, " batch"]  # as logged
+    rewards: Float[Array, " batch"]  # as logged, but for the view's scale and shift
     next_observations: Float[Array, "batch obs_dim"]  # normalised
     terminated: Float[Array, " batch"]  # 1.0 at a true end, else 0.0
+    extras: dict[str, Float[Array, "batch *width"]] = eqx.field(default_factory=dict)  # those of the learner's `View`

@@ -17,12 +17,15 @@ from jax.sharding import AxisType, Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Float, Int, Key, PRNGKeyArray
 
 from odaf.algorithms.base import Algorithm
-from odaf.data.sampling import Columns, sample
+from odaf.algorithms.numbers import Numbers, joined, split
+from odaf.data.sampling import Columns
 from odaf.data.spec import Spec
 from odaf.errors import ConfigError
 
 # What a seed's key is folded with, one number a purpose.
 _PRETRAIN, _INIT, _TRAIN = 0, 1, 2
+# What the training key is folded with for the keys of refreshes; no update has this number.
+_REFRESH = 2**31
 # The axis of a mesh that the rows of a batch are spread over.
 _BATCH = "batch"
 
@@ -42,22 +45,25 @@ def training_key(seed: int) -> PRNGKeyArray:
     return jr.fold_in(jr.key(seed), _TRAIN)
 
 
+def first_state(algorithm: Algorithm, spec: Spec, seed_key: PRNGKeyArray, models: Any) -> Any:
+    """A learner's state before its first update, around its models; compiled, as op by op it takes seconds."""
+    return _first_state(*split(algorithm), spec, seed_key, models)
+
+
 @eqx.filter_jit
-def first_state(algorithm: Algorithm, spec: Spec, seed_key: PRNGKeyArray, side: Any) -> Any:
-    """A learner's state before its first update, around its side networks; compiled, as op by op it takes seconds."""
-    return algorithm.init(seed_key, spec, side)
+def _first_state(structure: Algorithm, numbers: Numbers, spec: Spec, seed_key: PRNGKeyArray, models: Any) -> Any:
+    return joined(structure, numbers).init(seed_key, spec, models)
 
 
-def settled(state: Any) -> Any:
-    """`state` with every array in a buffer of its own and of a firm type.
+def donatable(state: Any) -> Any:
+    """`state` with every array in a buffer of its own and of a strong type.
 
     A target network that is the same array as its network could not be donated twice, and an array of weak type would
     compile differently from the one that a checkpoint gives back.
     """
-    return jax.tree.map(lambda leaf: _firm(jnp.copy(leaf)), state)
+    return jax.tree.map(lambda leaf: _strong(jnp.copy(leaf)), state)
 
 
-@functools.partial(jax.jit, static_argnames=("algorithm", "mesh"), donate_argnames="state")
 def train_stretch(
     algorithm: Algorithm,
     columns: Columns,
@@ -70,7 +76,7 @@ def train_stretch(
     """Runs updates `first + 1` to `last` and reduces their metrics.
 
     Args:
-        algorithm: the learner.
+        algorithm: the learner. Learners that differ in numbers alone share one compiled function.
         columns: what batches are drawn from.
         key: the seed's `training_key`.
         first: updates that `state` has had.
@@ -85,10 +91,23 @@ def train_stretch(
         where it ends in `/min`, otherwise the mean over the updates. One value that is not a number makes the result
         not a number.
     """
-    return _stretch(algorithm, columns, mesh, first, last, key, state)
+    return _train_stretch(*split(algorithm), columns, key, first, last, state, mesh)
 
 
-@functools.partial(jax.jit, static_argnames="algorithm", donate_argnames="states")
+@functools.partial(jax.jit, static_argnames=("structure", "mesh"), donate_argnames="state")
+def _train_stretch(
+    structure: Algorithm,
+    numbers: Numbers,
+    columns: Columns,
+    key: PRNGKeyArray,
+    first: Int[Array, ""],
+    last: Int[Array, ""],
+    state: Any,
+    mesh: Mesh | None = None,
+) -> tuple[Any, dict[str, Float[Array, ""]]]:
+    return _stretch(joined(structure, numbers), columns, mesh, first, last, key, state)
+
+
 def train_stretch_many(
     algorithm: Algorithm,
     columns: Columns,
@@ -111,6 +130,20 @@ def train_stretch_many(
         The stacked states after `last` updates, and one number a metric and seed. A lane agrees with the single run up
         to rounding, since products over many lanes are compiled differently.
     """
+    return _train_stretch_many(*split(algorithm), columns, keys, first, last, states)
+
+
+@functools.partial(jax.jit, static_argnames="structure", donate_argnames="states")
+def _train_stretch_many(
+    structure: Algorithm,
+    numbers: Numbers,
+    columns: Columns,
+    keys: Key[Array, " seeds"],
+    first: Int[Array, ""],
+    last: Int[Array, ""],
+    states: Any,
+) -> tuple[Any, dict[str, Float[Array, " seeds"]]]:
+    algorithm = joined(structure, numbers)
     return jax.vmap(functools.partial(_stretch, algorithm, columns, None, first, last))(keys, states)
 
 
@@ -128,8 +161,10 @@ def compiled_stretch(algorithm: Algorithm, columns: Columns, state: Any) -> Comp
     """
     key = jax.eval_shape(lambda: training_key(0))
     number = jax.ShapeDtypeStruct((), jnp.int32)
-    state = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype), state)  # as `settled` makes it
-    return train_stretch.lower(algorithm, columns, key, number, number, state).compile()
+    state = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype), state)  # as `donatable` makes it
+    structure, numbers = split(algorithm)
+    compiled = _train_stretch.lower(structure, numbers, columns, key, number, number, state).compile()
+    return functools.partial(compiled, numbers)
 
 
 def update_number(step: int) -> Int[Array, ""]:
@@ -176,15 +211,22 @@ def _stretch(
     key: PRNGKeyArray,
     state: Any,
 ) -> tuple[Any, dict[str, Array]]:
+    def refreshed(state: Any, step: Int[Array, ""]) -> Any:
+        key_refresh = jr.fold_in(jr.fold_in(key, _REFRESH), step)
+        return jax.tree.map(_strong, algorithm.refresh(state, columns, key_refresh))
+
     @jax.jit  # so that it is traced once for both of its uses
     def update(state: Any, step: Int[Array, ""]) -> tuple[Any, dict[str, Array]]:
         key_sample, key_update = jr.split(jr.fold_in(key, step))
-        batch = sample(columns, key_sample, algorithm.batch_size)
+        if algorithm.refresh_every:
+            is_due = step % algorithm.refresh_every == 0
+            state = jax.lax.cond(is_due, refreshed, lambda state, _: state, state, step)
+        batch = algorithm.batch(state, columns, key_sample)
         if mesh is not None:
             batch = jax.lax.with_sharding_constraint(batch, NamedSharding(mesh, PartitionSpec(_BATCH)))
         after, metrics = algorithm.update(state, batch, key_update)
         metrics = {name: jnp.asarray(value).astype(jnp.float32) for name, value in metrics.items()}
-        after = jax.tree.map(_firm, after)
+        after = jax.tree.map(_strong, after)
         if mesh is not None:
             after = jax.lax.with_sharding_constraint(after, NamedSharding(mesh, PartitionSpec()))
         return after, metrics
@@ -208,7 +250,7 @@ def is_finite(state: Any) -> bool:
     return all(bool(jnp.isfinite(leaf).all()) for leaf in numbers)
 
 
-def _firm(leaf: Array) -> Array:
+def _strong(leaf: Array) -> Array:
     return jax.lax.convert_element_type(leaf, leaf.dtype)
 
 

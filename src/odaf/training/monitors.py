@@ -30,7 +30,7 @@ class TrainingWarning:
 
 def value_bounds(spec: Spec, discount: float) -> tuple[float, float]:
     """The range of values that the logged rewards allow, widened to hold 0, where fresh critics start."""
-    low, high = value_range(spec, discount)
+    low, high = map(float, value_range(spec, discount))
     return min(low, 0.0), max(high, 0.0)
 
 
@@ -40,7 +40,7 @@ class DivergenceMonitor:
 
     Attributes:
         spec: the task; its rewards bound every right value.
-        discount: the learner's.
+        discount: the learner's; None for one that has no use for later rewards and so claims no values.
         settings: the learner's resolved config, so that only options which are not yet in use are recommended.
         slack: how far outside the range a critic may go, as a share of the range's width, before it is reported. The
             entropy bonus and the error of a critic in training move values a little past the bounds without harm.
@@ -49,7 +49,7 @@ class DivergenceMonitor:
     """
 
     spec: Spec
-    discount: float
+    discount: float | None
     settings: Mapping[str, Any]
     slack: float = 0.1
     temperature_limit: float = 10.0
@@ -76,7 +76,7 @@ class DivergenceMonitor:
             return [("not-finite", message)]
 
         findings = []
-        low, high = value_bounds(self.spec, self.discount)
+        low, high = (-math.inf, math.inf) if self.discount is None else value_bounds(self.spec, self.discount)
         slack = self.slack * (high - low)
         allowed = f"the logged rewards allow values from {low:,.4g} to {high:,.4g}"
         highest, lowest = metrics.get("critic/max"), metrics.get("critic/min")
@@ -109,14 +109,12 @@ class DivergenceMonitor:
         less_pessimism: bool = False,
         lower_learning_rate: bool = False,
     ) -> str:
-        options = []
-        if _setting(self.settings, "critic_norm") != "layer":
-            options.append('critic_norm="layer"')
-        if _setting(self.settings, "value_range") != "auto":
-            options.append('value_range="auto"')
-        if entropy and _setting(self.settings, "entropy_in_backup") is not False:
-            options.append("entropy_in_backup=False")
-        if pessimism:
+        options = [
+            f"{name}={helpful!r}"
+            for name, helpful in (("critic_norm", "layer"), ("value_range", "auto"), ("entropy_in_backup", False))
+            if _setting(self.settings, name) not in (None, helpful) and (entropy or name != "entropy_in_backup")
+        ]
+        if pessimism and "terms" in self.settings:
             options.append(
                 "a term that lowers values of actions outside the log (OODPessimism), or a larger weight of it"
             )

@@ -186,8 +186,8 @@ def blank_state(algorithm: Algorithm, spec: Spec) -> Any:
     """The structure of a learner's state, with shapes in place of arrays."""
 
     def build(key):
-        key_side, key_init = jr.split(key)
-        return algorithm.init(key_init, spec, algorithm.untrained_side(key_side, spec))
+        key_models, key_init = jr.split(key)
+        return algorithm.init(key_init, spec, algorithm.untrained(key_models, spec))
 
     return eqx.filter_eval_shape(build, jr.key(0))
 

@@ -44,11 +44,11 @@ def prepare(run: RunDirectory, dataset: Dataset, compiling: Callable[[], None]) 
     learner = run.algorithm
     compiling()
     began = time.perf_counter()
-    shapes = training_column_shapes(dataset, learner.return_steps)
+    shapes = training_column_shapes(dataset, learner.view())
     train = loop.compiled_stretch(learner, shapes, run_directory.blank_state(learner, run.spec))
     give_back_freed_memory()
     took = time.perf_counter() - began
-    columns = training_columns(dataset, run.normaliser, learner.return_steps, learner.discount)
+    columns = training_columns(dataset, run.normaliser, learner.view())
     return TrainingData(dataset, columns, train, took)
 
 
@@ -127,7 +127,7 @@ class SeedTraining:
         try:
             for logger in everyone:
                 logger.open(self.directory, self.step)
-            self._go_on(loop.settled(state), data, everyone, lines)
+            self._go_on(loop.donatable(state), data, everyone, lines)
         finally:
             for logger in everyone:
                 logger.close()
@@ -143,19 +143,19 @@ class SeedTraining:
                 self.progress.start(f"seed {self.seed}: {stage}", total)
             self.progress.advance(done)
 
-        side, findings = run.algorithm.pretrain(dataset, run.normaliser, key, report)
+        models, findings = run.algorithm.pretrain(dataset, run.normaliser, key, report)
         for sentence in findings.get("warnings", []):
             self._warn(TrainingWarning("pretrain", 0, sentence))
         self.record.pretrain = {name: value for name, value in findings.items() if name != "warnings"}
         self.record.seconds["pretrain"] = time.perf_counter() - began
-        state = loop.first_state(run.algorithm, run.spec, loop.init_key(self.seed), side)
+        state = loop.first_state(run.algorithm, run.spec, loop.init_key(self.seed), models)
         self._save(state)
         return state
 
     def _go_on(self, state: Any, data: TrainingData, loggers: Sequence[Logger], lines: JsonLines) -> None:
         run, record, seconds = self.run, self.record, self.record.seconds
         monitor = DivergenceMonitor(
-            run.spec, run.algorithm.discount, run.config["algorithm"], seen={w.kind for w in record.warnings}
+            run.spec, run.algorithm.view().discount, run.config["algorithm"], seen={w.kind for w in record.warnings}
         )
         key = loop.training_key(self.seed)
         record.status = "running"

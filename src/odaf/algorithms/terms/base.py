@@ -26,55 +26,77 @@ class Context(eqx.Module):
     target_critics: CriticEnsemble
     value_bounds: Float[Array, "2"]  # smallest and largest target; infinite when targets are not clipped
     step: Int[Array, ""]
-    memory: PyTree = ()  # what the term that is asked remembers; see `Term.first_memory`
 
 
 class Term(abc.ABC):
-    """An addition to the actor loss, to the critic loss, or to both: a frozen dataclass.
+    """An addition to the actor's loss, the critics' loss or the target, or to several: a frozen dataclass.
 
-    A term owns its hyper-parameters, its side network (if any) and its metrics. Its weight is applied inside. A term of
-    weight 0 is left out of training altogether, so it costs nothing and changes nothing.
+    A term owns its hyper-parameters, its metrics, and a state of its own: the model that `pretrain` fitted, which stays
+    frozen, or what it remembers from update to update, or both. Its weight is applied inside. A term of weight 0 is
+    left out of training altogether, so it costs nothing and changes nothing. Settings that are floating-point numbers
+    are traced, as `odaf.algorithms.base.Algorithm` says.
     """
 
     name: ClassVar[str]
     acts_on_actor: ClassVar[bool] = False
     acts_on_critics: ClassVar[bool] = False
+    acts_on_target: ClassVar[bool] = False
     needs_next_state: ClassVar[bool] = False  # reads s' as the state after one step, so targets must span one step
     weight: float
 
-    def untrained_side(self, key: PRNGKeyArray, spec: Spec) -> PyTree:
-        """Side network before pre-training; () when the term has none."""
+    def untrained(self, key: PRNGKeyArray, spec: Spec) -> PyTree:
+        """The term's model before pre-training; () when it has none."""
         del key, spec
         return ()
 
     def pretrain(
         self, dataset: Dataset, normaliser: Normaliser, key: PRNGKeyArray, progress: PretrainProgress
     ) -> tuple[PyTree, dict[str, Any]]:
-        """Train the side network; the report's entry "warnings" lists sentences for the user."""
+        """Train the model; the report's entry "warnings" lists sentences for the user."""
         del dataset, normaliser, key, progress
         return (), {"warnings": []}
 
-    def first_memory(self) -> PyTree:
-        """What the term remembers from update to update, before the first one; () when that is nothing."""
-        return ()
+    def init(self, model: PyTree) -> PyTree:
+        """The term's state before the first update, around its trained model; by default the model itself."""
+        return model
 
-    def next_memory(self, memory: PyTree, step: Int[Array, ""], metrics: Metrics) -> PyTree:
-        """The memory after an update.
+    def next_state(self, state: PyTree, step: Int[Array, ""], metrics: Metrics) -> PyTree:
+        """The term's state after an update.
 
         Args:
-            memory: the memory that the update saw.
+            state: the state that the update saw.
             step: updates made, this one included.
             metrics: the term's own metrics of this update, among others.
         """
         del step, metrics
-        return memory
+        return state
 
-    def actor_loss(self, context: Context, side: PyTree, key: PRNGKeyArray) -> tuple[Float[Array, ""], Metrics]:
+    def actor_loss(self, context: Context, state: PyTree, key: PRNGKeyArray) -> tuple[Float[Array, ""], Metrics]:
         """Weighted addition to the actor's loss. Gradients must reach `context.actor` only."""
-        del context, side, key
+        del context, state, key
         return jnp.zeros(()), {}
 
-    def critic_loss(self, context: Context, side: PyTree, key: PRNGKeyArray) -> tuple[Float[Array, ""], Metrics]:
+    def critic_loss(self, context: Context, state: PyTree, key: PRNGKeyArray) -> tuple[Float[Array, ""], Metrics]:
         """Weighted addition to the critics' loss. Gradients must reach `context.critics` only."""
-        del context, side, key
+        del context, state, key
         return jnp.zeros(()), {}
+
+    def target_penalty(
+        self,
+        context: Context,
+        state: PyTree,
+        next_actions: Float[Array, "rows act_dim"],
+        log_density: Float[Array, " rows"],
+        key: PRNGKeyArray,
+    ) -> Float[Array, " rows"]:
+        """Weighted deduction from the value of each next state in the critics' target; it receives no gradient.
+
+        Args:
+            context: of the update, before any of its steps.
+            state: the term's.
+            next_actions: a' ~ pi(s'), the actions whose values the target takes.
+            log_density: log pi(a'|s').
+            key: random key of the term.
+        """
+        del context, state, log_density, key
+        return jnp.zeros(next_actions.shape[0])

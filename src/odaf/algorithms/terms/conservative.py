@@ -41,9 +41,9 @@ class Conservative(Term):
                 "must not be negative"
             )
 
-    def critic_loss(self, context: Context, side: PyTree, key: PRNGKeyArray) -> tuple[Float[Array, ""], Metrics]:
+    def critic_loss(self, context: Context, state: PyTree, key: PRNGKeyArray) -> tuple[Float[Array, ""], Metrics]:
         """weight * sum over critics of the mean gap; its gradient reaches the critics only."""
-        del side
+        del state
         key_uniform, key_here, key_next = jr.split(key, 3)
         batch, actor = context.batch, frozen(context.actor)
         rows, act_dim = batch.actions.shape

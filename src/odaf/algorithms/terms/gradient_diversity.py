@@ -22,8 +22,7 @@ from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 
 from odaf.algorithms.base import Metrics
 from odaf.algorithms.terms.base import Context, Term
-from odaf.components.critics import over_members
-from odaf.components.networks import MLP
+from odaf.components.critics import CriticEnsemble, over_members
 from odaf.errors import ConfigError
 
 NORM_EPSILON = 1e-10
@@ -45,14 +44,12 @@ class GradientDiversity(Term):
         if self.weight < 0:
             raise ConfigError(f"diversity.weight={self.weight} must not be negative")
 
-    def critic_loss(self, context: Context, side: PyTree, key: PRNGKeyArray) -> tuple[Float[Array, ""], Metrics]:
+    def critic_loss(self, context: Context, state: PyTree, key: PRNGKeyArray) -> tuple[Float[Array, ""], Metrics]:
         """weight * L_div at the logged pairs; its gradient reaches the critics only."""
-        del side, key
+        del state, key
         batch = context.batch
-        # slopes of rounded products are known in one direction of differentiation only, and too coarse to compare
-        networks = dataclasses.replace(context.critics.networks, products="float32")
-        loss = action_diversity(networks, batch.observations, batch.actions)
-        members = networks.weights[0].shape[0]
+        loss = action_diversity(_in_full_precision(context.critics), batch.observations, batch.actions)
+        members = context.critics.networks.weights[0].shape[0]
         return self.weight * loss, {"diversity/loss": loss, "diversity/cosine": loss / members}
 
 
@@ -70,52 +67,61 @@ def mean_similarity(slopes: Slopes) -> Float[Array, ""]:
     return jnp.mean(together - alone) / (slopes.shape[0] - 1)
 
 
+def _in_full_precision(critics: CriticEnsemble) -> CriticEnsemble:
+    """Slopes of rounded products are known in one direction of differentiation only, and too coarse to compare."""
+    networks = dataclasses.replace(critics.networks, products="float32")
+    if critics.priors is None:
+        return CriticEnsemble(networks)
+    fixed = dataclasses.replace(critics.priors.networks, products="float32")
+    return CriticEnsemble(networks, dataclasses.replace(critics.priors, networks=fixed))
+
+
 @jax.custom_vjp
 def action_diversity(
-    networks: MLP, observations: Float[Array, "rows obs_dim"], actions: Float[Array, "rows act_dim"]
+    critics: CriticEnsemble, observations: Float[Array, "rows obs_dim"], actions: Float[Array, "rows act_dim"]
 ) -> Float[Array, ""]:
-    """`mean_similarity` of the members' action slopes, as a function of the networks; reverse mode only.
+    """`mean_similarity` of the members' action slopes, as a function of the critics; reverse mode only.
 
     States and actions are constants: they receive no gradient.
     """
-    return mean_similarity(_action_slopes(networks, observations, actions))
+    return mean_similarity(_action_slopes(critics, observations, actions))
 
 
 def _action_slopes(
-    networks: MLP, observations: Float[Array, "rows obs_dim"], actions: Float[Array, "rows act_dim"]
+    critics: CriticEnsemble, observations: Float[Array, "rows obs_dim"], actions: Float[Array, "rows act_dim"]
 ) -> Slopes:
-    def member(network: MLP) -> Float[Array, "rows act_dim"]:
-        values, pull_back = jax.vjp(lambda a: _values(network, observations, a), actions)
+    def member(critic: CriticEnsemble) -> Float[Array, "rows act_dim"]:
+        values, pull_back = jax.vjp(lambda a: _values(critic, observations, a), actions)
         return pull_back(jnp.ones_like(values))[0]  # rows do not interact: dQ_k/da of every row
 
-    return over_members(member, networks)
+    return over_members(member, critics)
 
 
 def _values(
-    network: MLP, observations: Float[Array, "rows obs_dim"], actions: Float[Array, "rows act_dim"]
+    critic: CriticEnsemble, observations: Float[Array, "rows obs_dim"], actions: Float[Array, "rows act_dim"]
 ) -> Float[Array, " rows"]:
-    return network(jnp.concatenate([observations, actions], axis=-1))[:, 0]
+    return critic.value(jnp.concatenate([observations, actions], axis=-1))
 
 
-def _forward(networks: MLP, observations: Array, actions: Array) -> tuple[Float[Array, ""], tuple]:
-    slopes = _action_slopes(networks, observations, actions)
-    return mean_similarity(slopes), (networks, observations, actions, slopes)
+def _forward(critics: CriticEnsemble, observations: Array, actions: Array) -> tuple[Float[Array, ""], tuple]:
+    slopes = _action_slopes(critics, observations, actions)
+    return mean_similarity(slopes), (critics, observations, actions, slopes)
 
 
-def _backward(residuals: tuple, cotangent: Float[Array, ""]) -> tuple[MLP, Array, Array]:
-    networks, observations, actions, slopes = residuals
+def _backward(residuals: tuple, cotangent: Float[Array, ""]) -> tuple[CriticEnsemble, Array, Array]:
+    critics, observations, actions, slopes = residuals
     directions = cotangent * jax.grad(mean_similarity)(slopes)  # c_k
 
-    def member(pair: tuple[MLP, Float[Array, "rows act_dim"]]) -> MLP:
-        network, direction = pair
+    def member(pair: tuple[CriticEnsemble, Float[Array, "rows act_dim"]]) -> CriticEnsemble:
+        critic, direction = pair
 
-        def along(network: MLP) -> Float[Array, ""]:
-            _, slope = jax.jvp(lambda a: _values(network, observations, a), (actions,), (direction,))
+        def along(critic: CriticEnsemble) -> Float[Array, ""]:
+            _, slope = jax.jvp(lambda a: _values(critic, observations, a), (actions,), (direction,))
             return jnp.sum(slope)  # sum_rows <c_k, grad_a Q_k>
 
-        return jax.grad(along)(network)
+        return jax.grad(along)(critic)
 
-    return over_members(member, (networks, directions)), jnp.zeros_like(observations), jnp.zeros_like(actions)
+    return over_members(member, (critics, directions)), jnp.zeros_like(observations), jnp.zeros_like(actions)
 
 
 action_diversity.defvjp(_forward, _backward)

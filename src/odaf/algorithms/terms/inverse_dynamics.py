@@ -35,7 +35,7 @@ class InverseDynamicsTerm(Term):
             if getattr(self, field) < 0:
                 raise ConfigError(f"{self.name}.{field}={getattr(self, field)} must not be negative")
 
-    def untrained_side(self, key: PRNGKeyArray, spec: Spec) -> InverseDynamics:
+    def untrained(self, key: PRNGKeyArray, spec: Spec) -> InverseDynamics:
         """The model before training."""
         return untrained_inverse(self.model, key, spec.obs_dim, spec.act_dim)
 

@@ -33,14 +33,14 @@ class InverseDynamicsAlignment(InverseDynamicsTerm):
     """Weight in the actor's loss (OSR 0.5); 0 leaves the term out."""
 
     def actor_loss(
-        self, context: Context, side: InverseDynamics, key: PRNGKeyArray
+        self, context: Context, state: InverseDynamics, key: PRNGKeyArray
     ) -> tuple[Float[Array, ""], Metrics]:
         """weight * mean divergence; its gradient reaches the actor only."""
         key_state, key_latent = jr.split(key)
         batch = context.batch
         perturbed = self.states_beside(batch, key_state)
-        noise = side.draw_noise(key_latent, len(perturbed))
-        mean, log_std = frozen(side).parameters(perturbed, batch.next_observations, noise)
+        noise = state.draw_noise(key_latent, len(perturbed))
+        mean, log_std = frozen(state).parameters(perturbed, batch.next_observations, noise)
         divergence = gaussian_divergence(*context.actor.parameters(perturbed), mean, log_std)
         loss = mean_where_followed(jnp.mean(divergence, axis=1), batch)
         return self.weight * loss, {"inverse_dynamics/divergence": loss}

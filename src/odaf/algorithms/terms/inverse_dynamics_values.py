@@ -45,14 +45,14 @@ class InverseDynamicsValues(InverseDynamicsTerm):
             raise ConfigError(f"{self.name}.num_actions={self.num_actions} must be at least 1")
 
     def critic_loss(
-        self, context: Context, side: InverseDynamics, key: PRNGKeyArray
+        self, context: Context, state: InverseDynamics, key: PRNGKeyArray
     ) -> tuple[Float[Array, ""], Metrics]:
         """weight * mean gap; its gradient reaches the critics only."""
         key_state, key_latent, key_back, key_policy = jr.split(key, 4)
         batch = context.batch
         rows, act_dim = batch.actions.shape
         perturbed = self.states_beside(batch, key_state)
-        mean, log_std = frozen(side).parameters(perturbed, batch.next_observations, side.draw_noise(key_latent, rows))
+        mean, log_std = frozen(state).parameters(perturbed, batch.next_observations, state.draw_noise(key_latent, rows))
         back = jnp.tanh(mean + jnp.exp(log_std) * jr.normal(key_back, mean.shape))
         noise = jr.normal(key_policy, (self.num_actions, rows, act_dim))
         chosen, log_density = draw_actions(frozen(context.actor), perturbed, noise)

@@ -11,7 +11,8 @@ by 1.01 from then on, as long as it is above 0.2.
 """
 
 import dataclasses
-from typing import Any, ClassVar
+import functools
+from typing import Any, ClassVar, Literal
 
 import equinox as eqx
 import jax
@@ -68,7 +69,7 @@ class OODPessimism(Term):
     """lambda for policy actions at the next states (PBRL 0.1); None leaves the next states out (RORL)."""
     floor: float | None = None
     """Lower bound of the targets (PBRL 0); the learner's value range bounds them as well."""
-    std_ddof: int = 0
+    std_ddof: Literal[0, 1] = 0
     """0 divides the variance by K, 1 by K - 1 (both authors' codes)."""
 
     def __post_init__(self) -> None:
@@ -85,33 +86,33 @@ class OODPessimism(Term):
         share = jnp.minimum(step / self.decay_steps, 1.0)
         return self.deviations + (self.final_deviations - self.deviations) * share
 
-    def first_memory(self) -> Easing | tuple[()]:
+    def init(self, model: PyTree) -> Easing | tuple[()]:
         """No easing and no records yet."""
+        del model
         if not self.adaptive:
             return ()
         return Easing(jnp.ones(()), jnp.zeros(RECORDS), jnp.zeros((), jnp.int32), jnp.zeros(()))
 
-    def next_memory(self, memory: Any, step: Int[Array, ""], metrics: Metrics) -> Any:
+    def next_state(self, state: Any, step: Int[Array, ""], metrics: Metrics) -> Any:
         """Adds this update's value; after a whole epoch makes a record and eases lambda where values fall."""
         if not self.adaptive:
             return ()
-        total = memory.total + metrics["ood/value"]
+        total = state.total + metrics["ood/value"]
         ends = step % EPOCH == 0
-        records = jnp.where(ends, jnp.append(memory.records[1:], total / EPOCH), memory.records)
-        count = memory.count + ends.astype(memory.count.dtype)
+        records = jnp.where(ends, jnp.append(state.records[1:], total / EPOCH), state.records)
+        count = state.count + ends.astype(state.count.dtype)
         falls = jnp.mean(records[-RECENT:]) < jnp.mean(records[:-RECENT])
-        high = memory.factor * self.deviations_at(step) > LEAST_DEVIATIONS
+        high = state.factor * self.deviations_at(step) > LEAST_DEVIATIONS
         eases = ends & (step > self.decay_steps) & (count >= RECORDS) & falls & high
-        factor = jnp.where(eases, memory.factor / EASING, memory.factor)
+        factor = jnp.where(eases, state.factor / EASING, state.factor)
         return Easing(factor, records, count, jnp.where(ends, 0.0, total))
 
-    def critic_loss(self, context: Context, side: PyTree, key: PRNGKeyArray) -> tuple[Float[Array, ""], Metrics]:
+    def critic_loss(self, context: Context, state: PyTree, key: PRNGKeyArray) -> tuple[Float[Array, ""], Metrics]:
         """weight * mean squared distance to the lowered targets; its gradient reaches the critics only."""
-        del side
         key_here, key_next = jr.split(key)
         weight_here = self.deviations_at(context.step)
         if self.adaptive:
-            weight_here = context.memory.factor * weight_here
+            weight_here = state.factor * weight_here
         loss, spread, value = self._pull_down(context, context.batch.observations, weight_here, key_here)
         metrics = {"ood/uncertainty": spread, "ood/value": value, "ood/deviations": weight_here}
         if self.next_deviations is not None:  # a mean over twice the rows
@@ -135,22 +136,28 @@ class OODPessimism(Term):
 
         count = draws // draws_at_once(draws, rows)
         parts = jax.tree.map(lambda column: column.reshape(count, -1, column.shape[-1]), (perturbed, actions))
-        found: Any = mean_over_parts(self._part_loss, context.critics, parts, (deviations, context.value_bounds))
+        floor = jnp.asarray(-jnp.inf if self.floor is None else self.floor)
+        constants = deviations, context.value_bounds, floor
+        found: Any = mean_over_parts(_pull_down_by[self.std_ddof], context.critics, parts, constants)
         loss, (spread, value) = found
         return loss, spread, value
 
-    def _part_loss(
-        self,
-        critics: CriticEnsemble,
-        part: tuple[Float[Array, "rows obs_dim"], Float[Array, "rows act_dim"]],
-        constants: tuple[Float[Array, ""], Float[Array, "2"]],
-    ) -> tuple[Float[Array, ""], tuple[Float[Array, ""], Float[Array, ""]]]:
-        deviations, bounds = constants
-        values = critics(*part)
-        spread = disagreement(values, self.std_ddof)
-        targets = values - deviations * spread[None, :]
-        targets = jnp.clip(targets, bounds[0], bounds[1])
-        if self.floor is not None:
-            targets = jnp.maximum(targets, self.floor)
-        loss = jnp.mean(jnp.square(values - jax.lax.stop_gradient(targets)))
-        return loss, (jnp.mean(spread), jnp.mean(values))
+
+def _part_loss(
+    std_ddof: int,
+    critics: CriticEnsemble,
+    part: tuple[Float[Array, "rows obs_dim"], Float[Array, "rows act_dim"]],
+    constants: tuple[Float[Array, ""], Float[Array, "2"], Float[Array, ""]],
+) -> tuple[Float[Array, ""], tuple[Float[Array, ""], Float[Array, ""]]]:
+    """Loss of a part of the rows, and the means of U and of Q over it; constants: lambda, value bounds and floor."""
+    deviations, bounds, floor = constants
+    values = critics(*part)
+    spread = disagreement(values, std_ddof)
+    targets = jnp.clip(values - deviations * spread[None, :], bounds[0], bounds[1])
+    targets = jnp.maximum(targets, floor)
+    loss = jnp.mean(jnp.square(values - jax.lax.stop_gradient(targets)))
+    return loss, (jnp.mean(spread), jnp.mean(values))
+
+
+# One function object for each divisor: what is differentiated must hold no arrays, and equal calls share their traces.
+_pull_down_by = {ddof: functools.partial(_part_loss, ddof) for ddof in (0, 1)}

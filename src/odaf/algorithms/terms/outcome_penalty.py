@@ -19,7 +19,8 @@ from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 from odaf.algorithms.base import Metrics, PretrainProgress
 from odaf.algorithms.terms.base import Context, Term
 from odaf.components.critics import disagreement
-from odaf.components.dynamics import DynamicsConfig, DynamicsModel, fit_dynamics, untrained
+from odaf.components.dynamics import DynamicsConfig, DynamicsModel, fit_dynamics
+from odaf.components.dynamics import untrained as untrained_dynamics
 from odaf.components.perturbations import draw_offsets, signed_ascent
 from odaf.components.targets import frozen
 from odaf.data.dataset import Dataset
@@ -83,9 +84,9 @@ class OutcomePenalty(Term):
             if amount < 0:
                 raise ConfigError(f"outcome.{field}={amount} must not be negative")
 
-    def untrained_side(self, key: PRNGKeyArray, spec: Spec) -> DynamicsModel:
+    def untrained(self, key: PRNGKeyArray, spec: Spec) -> DynamicsModel:
         """The dynamics model before training."""
-        return untrained(self.dynamics, key, spec.obs_dim, spec.act_dim)
+        return untrained_dynamics(self.dynamics, key, spec.obs_dim, spec.act_dim)
 
     def pretrain(
         self, dataset: Dataset, normaliser: Normaliser, key: PRNGKeyArray, progress: PretrainProgress
@@ -95,34 +96,34 @@ class OutcomePenalty(Term):
             self.dynamics, dataset, normaliser, key, lambda done, steps: progress("dynamics model", done, steps)
         )
 
-    def actor_loss(self, context: Context, side: DynamicsModel, key: PRNGKeyArray) -> tuple[Float[Array, ""], Metrics]:
+    def actor_loss(self, context: Context, state: DynamicsModel, key: PRNGKeyArray) -> tuple[Float[Array, ""], Metrics]:
         """weight * mean_s of the worst case of U; its gradient reaches the actor only."""
-        uncertainty = self.worst_case(context, side, key)
+        uncertainty = self.worst_case(context, state, key)
         mean = jnp.mean(uncertainty)
         return self.weight * mean, {"outcome/uncertainty": mean, "outcome/uncertainty/max": jnp.max(uncertainty)}
 
-    def worst_case(self, context: Context, side: DynamicsModel, key: PRNGKeyArray) -> Float[Array, " rows"]:
+    def worst_case(self, context: Context, dynamics: DynamicsModel, key: PRNGKeyArray) -> Float[Array, " rows"]:
         """Worst U (or, with reduce="mean", mean U) over the box around each state of the batch.
 
         The maximiser is chosen without gradients and only its value is differentiated, with the same noise. By the
         envelope theorem this is the gradient of the maximum itself.
         """
         context = self._without_gradients(context)
-        side = frozen(side)
+        dynamics = frozen(dynamics)
         states = context.batch.observations[: self.num_states]
         rows, obs_dim = states.shape
         act_dim = context.batch.actions.shape[1]
         key_noise, key_offsets = jr.split(key)
 
         if self.solver == "gradient":
-            noise = self._draw_noise(side, rows, act_dim, key_noise)
+            noise = self._draw_noise(dynamics, rows, act_dim, key_noise)
             fixed_actor = frozen(context.actor)
 
             def at(offsets: Float[Array, "rows obs_dim"]) -> Float[Array, " rows"]:
-                return self.outcome_uncertainty(context, fixed_actor, side, states + offsets, noise)
+                return self.outcome_uncertainty(context, fixed_actor, dynamics, states + offsets, noise)
 
             offsets = signed_ascent(at, jnp.zeros_like(states), self.radius, self.ascent_steps)
-            return self.outcome_uncertainty(context, context.actor, side, states + offsets, noise)
+            return self.outcome_uncertainty(context, context.actor, dynamics, states + offsets, noise)
 
         offsets = draw_offsets(
             key_offsets,
@@ -133,12 +134,12 @@ class OutcomePenalty(Term):
             shared=self.shared_draws,
             include_centre=self.include_centre,
         )
-        noises = jax.vmap(lambda k: self._draw_noise(side, rows, act_dim, k))(jr.split(key_noise, self.num_draws))
+        noises = jax.vmap(lambda k: self._draw_noise(dynamics, rows, act_dim, k))(jr.split(key_noise, self.num_draws))
         # without gradients where only the winner is differentiated
         judging_actor = context.actor if self.reduce == "mean" else frozen(context.actor)
 
         def judge(_: None, draw: tuple[Float[Array, "rows obs_dim"], Noise]) -> tuple[None, Float[Array, " rows"]]:
-            return None, self.outcome_uncertainty(context, judging_actor, side, states + draw[0], draw[1])
+            return None, self.outcome_uncertainty(context, judging_actor, dynamics, states + draw[0], draw[1])
 
         # one draw after another, so that the activations of a pass stay in the cache
         _, scores = jax.lax.scan(judge, None, (offsets, noises), unroll=DRAWS_A_STEP)
@@ -146,20 +147,20 @@ class OutcomePenalty(Term):
             return jnp.mean(scores, axis=0)
         best = jnp.argmax(jax.lax.stop_gradient(scores), axis=0)
         offset, noise = jax.tree.map(lambda draws: draws[best, jnp.arange(rows)], (offsets, noises))
-        return self.outcome_uncertainty(context, context.actor, side, states + offset, noise)
+        return self.outcome_uncertainty(context, context.actor, dynamics, states + offset, noise)
 
     def outcome_uncertainty(
         self,
         context: Context,
         actor: Any,
-        side: DynamicsModel,
+        dynamics: DynamicsModel,
         perturbed: Float[Array, "rows obs_dim"],
         noise: Noise,
     ) -> Float[Array, " rows"]:
         """U(P(s^, a^)) for one perturbed state s^ a row; differentiable in `actor` and `perturbed`."""
         action_noise, dynamics_noise, next_noise = noise
         action, _ = actor.sample(perturbed, action_noise)  # a^ ~ pi(s^)
-        outcome = side.predict(perturbed, action, dynamics_noise)  # s^' = P(s^, a^)
+        outcome = dynamics.predict(perturbed, action, dynamics_noise)  # s^' = P(s^, a^)
         next_actor = context.slow_actor if self.next_policy == "slow" else frozen(context.actor)
         state = outcome if self.next_action_at == "outcome" else perturbed
         if self.next_action == "sample":
@@ -173,11 +174,11 @@ class OutcomePenalty(Term):
         )  # U = std_k Q_k(s^', a^')
 
     @staticmethod
-    def _draw_noise(side: DynamicsModel, rows: int, act_dim: int, key: PRNGKeyArray) -> Noise:
+    def _draw_noise(dynamics: DynamicsModel, rows: int, act_dim: int, key: PRNGKeyArray) -> Noise:
         key_action, key_dynamics, key_next = jr.split(key, 3)
         return (
             jr.normal(key_action, (rows, act_dim)),
-            side.draw_noise(key_dynamics, rows),
+            dynamics.draw_noise(key_dynamics, rows),
             jr.normal(key_next, (rows, act_dim)),
         )
 

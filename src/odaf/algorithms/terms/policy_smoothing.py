@@ -45,9 +45,9 @@ class PolicySmoothing(Term):
                 f"radius={self.radius} must not be negative"
             )
 
-    def actor_loss(self, context: Context, side: PyTree, key: PRNGKeyArray) -> tuple[Float[Array, ""], Metrics]:
+    def actor_loss(self, context: Context, state: PyTree, key: PRNGKeyArray) -> tuple[Float[Array, ""], Metrics]:
         """weight * mean of the worst J; its gradient reaches the actor only."""
-        del side
+        del state
         states = context.batch.observations
         rows, obs_dim = states.shape
         offsets = draw_offsets(

@@ -45,9 +45,9 @@ class ValueSmoothing(Term):
                 f"radius={self.radius} must not be negative; fall_weight={self.fall_weight} must lie in [0, 1]"
             )
 
-    def critic_loss(self, context: Context, side: PyTree, key: PRNGKeyArray) -> tuple[Float[Array, ""], Metrics]:
+    def critic_loss(self, context: Context, state: PyTree, key: PRNGKeyArray) -> tuple[Float[Array, ""], Metrics]:
         """weight * mean of the worst l; its gradient reaches the critics only."""
-        del side
+        del state
         states, actions = context.batch.observations, context.batch.actions
         rows, obs_dim = states.shape
         offsets = draw_offsets(
