@@ -169,7 +169,7 @@ def test_scaled_rewards_scale_targets_and_bounds_and_leave_metrics_in_the_logs_u
             reward_scale=tiny.floats(0.25),
             value_bounds=0.25 * state.value_bounds,
             critics=dataclasses.replace(
-                state.critics, now=_times(state.critics.now, 0.25), slow=_times(state.critics.slow, 0.25)
+                state.critics, now=_times(state.critics.now, 0.25), slow=_times(state.target_critics.networks, 0.25)
             ),
         )
         y, small_y = plain.targets(state, batch, jr.key(5)), scaled.targets(small, batch, jr.key(5))

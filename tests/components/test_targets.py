@@ -52,13 +52,13 @@ def test_the_value_range_of_known_rewards(low, high, ends, expected):
     st.randoms(use_true_random=False),
 )
 def test_no_stream_of_logged_rewards_leaves_the_value_range(low, width, ends, discount, length, random):
-    bounds = value_range(_spec(low, low + width, ends), discount)
+    least, most = map(float, value_range(_spec(low, low + width, ends), discount))
     rewards = [random.uniform(low, low + width) for _ in range(length)]
     value = sum(discount**step * reward for step, reward in enumerate(rewards))
     if not ends:  # the stream goes on with its last reward
         value += discount**length * rewards[-1] / (1.0 - discount)
     slack = 1e-9 * (1.0 + abs(value))
-    assert bounds[0] - slack <= value <= bounds[1] + slack
+    assert least - slack <= value <= most + slack
 
 
 def _network(seed: int = 0):

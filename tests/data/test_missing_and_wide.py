@@ -66,7 +66,7 @@ WAYS: dict[str, Callable[[np.ndarray, np.ndarray], Any]] = {
 COLUMNS = {"observations": 2, "actions": 1, "next_observations": 2, "rewards": 0, "terminated": 0, "truncated": 0}
 
 
-def columns() -> dict[str, np.ndarray]:
+def columns() -> dict[str, Any]:
     rng = np.random.default_rng(0)
     return {
         "observations": rng.normal(size=(ROWS, 2)),

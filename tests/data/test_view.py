@@ -7,6 +7,7 @@ import pytest
 
 from odaf.data import Dataset, Normaliser
 from odaf.data.sampling import device_columns, training_column_shapes, training_columns
+from odaf.data.transitions import Transitions
 from odaf.data.view import Extra, View
 from odaf.errors import ConfigError
 
@@ -62,8 +63,8 @@ def _expected(log: Dataset, steps: int) -> dict[str, list]:
 def test_extras_match_a_loop_over_episodes(steps):
     log = _log()
     view = View(steps, DISCOUNT, reward_scale=2.0, reward_shift=-1.0, extras=EXTRAS)
-    columns = training_columns(log, Normaliser.identity(2), view)
-    shapes = training_column_shapes(log, view)
+    columns, shapes = training_columns(log, Normaliser.identity(2), view), training_column_shapes(log, view)
+    assert isinstance(columns, Transitions) and isinstance(shapes, Transitions)
     expected = _expected(log, steps)
     assert set(columns.extras) == set(EXTRAS) == set(shapes.extras)
     for name in EXTRAS:

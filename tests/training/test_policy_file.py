@@ -20,6 +20,7 @@ from golden import tiny
 from odaf.components import stored
 from odaf.components.critics import CriticEnsemble, init_critics
 from odaf.components.policies import Actor, GaussianActor, init_deterministic_actor, init_gaussian_actor
+from odaf.components.priors import init_priors
 from odaf.data.normalisation import Normaliser
 from odaf.errors import CheckpointError, ConfigError
 from odaf.training.policy import Policy
@@ -159,7 +160,9 @@ class Best(Actor):
 def test_an_actor_made_of_several_modules_is_stored_once_its_class_is_registered(tmp_path, monkeypatch):
     file = tmp_path / "best.safetensors"
     proposals = tuple(_policy(deterministic=flag).actor for flag in (True, False))
-    critics = init_critics(jr.key(3), 3, 2, (4,), 2, "layer", 1.0, prior_scale=0.5)
+    critics = CriticEnsemble(
+        init_critics(jr.key(3), 3, 2, (4,), 2, "layer", 1.0), init_priors(jr.key(3), 3, 2, (4,), 2, 0.5)
+    )
     policy = dataclasses.replace(_policy(), actor=Best(proposals, critics, 0.25))
     with pytest.raises(ConfigError, match=r"actor: a Best cannot be stored; register its class as .*KINDS"):
         policy.save(file)
@@ -308,7 +311,7 @@ def test_parameters_of_a_type_that_would_be_rounded_are_refused(tmp_path):
     file = tmp_path / "policy.safetensors"
     with jax.enable_x64(True):
         policy = dataclasses.replace(_policy(), actor=tiny.in_double(_policy().actor))
-        assert policy.actor.network.weights[0].dtype == jnp.float64
+        assert jax.tree.leaves(policy.actor)[0].dtype == jnp.float64
         policy.save(file)
     with pytest.raises(CheckpointError, match="would not keep the type float64"):
         Policy.load(file)

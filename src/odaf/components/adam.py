@@ -1,7 +1,9 @@
 """Adam as two functions of arrays, so that learners carry nothing but its moments from update to update."""
 
 import optax
-from jaxtyping import PyTree, ScalarLike
+from jaxtyping import PyTree
+
+from odaf.components.numbers import Number
 
 
 def initial_moments(parameters: PyTree) -> optax.OptState:
@@ -10,7 +12,7 @@ def initial_moments(parameters: PyTree) -> optax.OptState:
 
 
 def adam_step(
-    rate: ScalarLike, gradient: PyTree, moments: optax.OptState, parameters: PyTree
+    rate: Number, gradient: PyTree, moments: optax.OptState, parameters: PyTree
 ) -> tuple[PyTree, optax.OptState]:
     """One step of Adam (Kingma & Ba 2015) with the usual decay rates, 0.9 and 0.999.
 

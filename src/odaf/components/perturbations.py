@@ -5,13 +5,15 @@ from collections.abc import Callable
 import jax
 import jax.numpy as jnp
 import jax.random as jr
-from jaxtyping import Array, Float, PRNGKeyArray, ScalarLike
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from odaf.components.numbers import Number
 
 Objective = Callable[[Float[Array, "rows obs_dim"]], Float[Array, " rows"]]
 
 
 def draw_offsets(
-    key: PRNGKeyArray, draws: int, rows: int, obs_dim: int, radius: ScalarLike, *, shared: bool, include_centre: bool
+    key: PRNGKeyArray, draws: int, rows: int, obs_dim: int, radius: Number, *, shared: bool, include_centre: bool
 ) -> Float[Array, "draws rows obs_dim"]:
     """Uniform offsets in the box.
 
@@ -30,7 +32,7 @@ def draw_offsets(
 
 
 def signed_ascent(
-    objective: Objective, offsets: Float[Array, "rows obs_dim"], radius: ScalarLike, steps: int
+    objective: Objective, offsets: Float[Array, "rows obs_dim"], radius: Number, steps: int
 ) -> Float[Array, "rows obs_dim"]:
     """Offsets that raise a row-wise objective, by projected steps along the sign of its gradient.
 

@@ -5,8 +5,9 @@ from typing import TypeVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PyTree, ScalarLike
+from jaxtyping import Array, Float, PyTree
 
+from odaf.components.numbers import Number
 from odaf.data.spec import Spec
 
 Networks = TypeVar("Networks", bound=PyTree)
@@ -16,13 +17,13 @@ def bellman_target(
     rewards: Float[Array, "*one rows"],
     terminated: Float[Array, "*one rows"],
     next_values: Float[Array, "*critics rows"],
-    discount: ScalarLike,
+    discount: Number,
 ) -> Float[Array, "*critics rows"]:
     """y = r + discount * (1 - d) * V(s'): a true end bootstraps to zero, a time-out (d = 0) does not."""
     return rewards + discount * (1.0 - terminated) * next_values
 
 
-def value_range(spec: Spec, discount: ScalarLike) -> tuple[ScalarLike, ScalarLike]:
+def value_range(spec: Spec, discount: Number) -> tuple[Number, Number]:
     """Smallest and largest discounted return that the logged rewards allow; floats for a float, else arrays.
 
     A stream of rewards in [r_min, r_max] that goes on for ever is worth between r_min / (1 - discount) and
@@ -38,7 +39,7 @@ def value_range(spec: Spec, discount: ScalarLike) -> tuple[ScalarLike, ScalarLik
     return low, high
 
 
-def polyak(slow: Networks, online: Networks, rate: ScalarLike) -> Networks:
+def polyak(slow: Networks, online: Networks, rate: Number) -> Networks:
     """(1 - rate) * slow + rate * online, leaf by leaf."""
     moving, fixed = eqx.partition(slow, eqx.is_inexact_array)
     new, _ = eqx.partition(online, eqx.is_inexact_array)

@@ -4,9 +4,10 @@ from typing import Generic, TypeVar
 
 import equinox as eqx
 import optax
-from jaxtyping import PyTree, ScalarLike
+from jaxtyping import PyTree
 
 from odaf.components.adam import adam_step, initial_moments
+from odaf.components.numbers import Number
 from odaf.components.targets import copy_of, polyak
 
 Networks = TypeVar("Networks")
@@ -33,8 +34,8 @@ class Trained(eqx.Module, Generic[Networks]):
     def stepped(
         self,
         gradient: PyTree,
-        learning_rate: ScalarLike,
-        slow_rate: ScalarLike | None = None,
+        learning_rate: Number,
+        slow_rate: Number | None = None,
     ) -> "Trained[Networks]":
         """After one step of Adam; the slow copy then moves `slow_rate` of the way to the new parameters.
 

@@ -74,7 +74,8 @@ def write_d4rl_archive(path, episodes):
     file = write_d4rl(path, episodes)
     with h5py.File(file) as source:
         names = ("observations", "actions", "rewards", "next_observations", "terminals", "timeouts", "infos/qpos")
-        np.savez(path / "file.npz", **{name: np.asarray(source[name]) for name in names})
+        arrays: dict[str, Any] = {name: np.asarray(source[name]) for name in names}
+        np.savez(path / "file.npz", **arrays)
     file.unlink()
     return path / "file.npz"
 

@@ -47,9 +47,7 @@ def test_tuple_observations_are_joined_as_asked(write):
     path = write(tuples=True)
     with pytest.raises(DatasetError, match="each observation is a tuple of 2 arrays; name those to join"):
         Dataset.load(path)
-    with pytest.raises(
-        DatasetError, match=r"of which \[2\] was asked for; name .* observations=\[0, 1\]"
-    ):
+    with pytest.raises(DatasetError, match=r"of which \[2\] was asked for; name .* observations=\[0, 1\]"):
         Dataset.load(path, observations=[2])
     np.testing.assert_array_equal(Dataset.load(path, observations=[1, 0]).observations[4], [40, 400, 4])
     np.testing.assert_array_equal(Dataset.load(path, observations=[0]).observations[4], [4])

@@ -47,7 +47,8 @@ def test_time_limit_and_settings_are_the_recorded_ones():
     ends = [environment.step(np.zeros(1, np.float32))[3] for _ in range(20)]
     assert ends == [False] * 19 + [True]
     build, limit = make_untimed(entries["environment"])
-    assert limit == 20 and build().spec.max_episode_steps is None
+    spec = build().spec
+    assert limit == 20 and spec is not None and spec.max_episode_steps is None
 
 
 def test_no_time_limit_where_none_was_recorded_and_the_usual_one_where_nothing_is_said():
