@@ -189,11 +189,15 @@ def _times(networks: MLP, factor: float) -> MLP:
     )
 
 
-def test_unit_gives_the_largest_logged_reward_the_size_one():
+@pytest.mark.parametrize(
+    ("low", "high", "scale"),
+    [(-1.0, 2.0, 0.5), (0.05, 0.97, 1.0), (-1e6, 0.0, 2.0**-20), (0.0, 3e-7, 2.0**21), (0, 0, 1)],
+)
+def test_unit_brings_the_largest_logged_reward_near_one_by_a_power_of_two(low, high, scale):
     learner = _learner(reward_scale="unit", discount=0.9)
-    state = jax.jit(lambda key: learner.init(key, tiny.SPEC, Models()))(jr.key(0))
-    assert float(state.reward_scale) == 0.5  # rewards in [-1, 2]
-    np.testing.assert_allclose(state.value_bounds, [-5.0, 10.0], rtol=1e-6)
+    spec = dataclasses.replace(tiny.SPEC, reward_min=low, reward_max=high, ever_terminates=False)
+    assert float(learner._scale(spec)) == scale
+    np.testing.assert_allclose(learner._value_bounds(spec), [10.0 * scale * low, 10.0 * scale * high], rtol=1e-6)
 
 
 def test_auto_makes_the_largest_allowed_value_ten():

@@ -26,8 +26,8 @@ def test_training_equals_the_same_updates_called_one_by_one(tiny, tmp_path):
     run = _fit(tiny, tmp_path / "run", steps=7, stretch=3, seeds=(3,))
     learner, dataset = tiny.TinyLearner(), tiny.tiny_dataset()
     columns = device_columns(dataset, Normaliser.fit(dataset.observations))
-    side = jr.normal(loop.pretrain_key(3), (2,))
-    state = learner.init(loop.init_key(3), dataset.spec(), side)
+    offset = jr.normal(loop.pretrain_key(3), (2,))
+    state = learner.init(loop.init_key(3), dataset.spec(), offset)
     for step in range(7):
         key_sample, key_update = jr.split(jr.fold_in(loop.training_key(3), step))
         state, _ = learner.update(state, sample(columns, key_sample, learner.batch_size), key_update)
@@ -35,7 +35,7 @@ def test_training_equals_the_same_updates_called_one_by_one(tiny, tmp_path):
     assert int(found.step) == 7
     np.testing.assert_allclose(found.weights, state.weights, rtol=1e-5)
     np.testing.assert_allclose(found.slow, state.slow, rtol=1e-5)
-    np.testing.assert_array_equal(found.side, side)
+    np.testing.assert_array_equal(found.offset, offset)
 
 
 def test_metrics_are_reduced_over_their_stretch_by_the_end_of_their_name(tiny, tmp_path):
@@ -59,14 +59,14 @@ def test_two_runs_of_one_seed_agree_bit_for_bit_and_two_seeds_differ(tiny, tmp_p
     assert tiny.arrays_of(first.path) == tiny.arrays_of(second.path)
     assert not np.array_equal(first.state(0).weights, first.state(1).weights)
     assert not np.array_equal(first.state(0, 0).weights, first.state(1, 0).weights)
-    assert not np.array_equal(first.state(0).side, first.state(1).side)
+    assert not np.array_equal(first.state(0).offset, first.state(1).offset)
 
 
 def test_one_compilation_serves_all_seeds_lengths_and_runs(tiny, tmp_path, monkeypatch):
     traces = []
     update = tiny.TinyLearner.update
     monkeypatch.setattr(tiny.TinyLearner, "update", lambda *args: traces.append(1) or update(*args))
-    learner = tiny.TinyLearner(learning_rate=0.07)
+    learner = tiny.TinyLearner(batch_size=7)  # a program that no other test compiles
     _fit(tiny, tmp_path / "a", algorithm=learner, seeds=(0, 1), steps=11)
     once = len(traces)
     assert 1 <= once <= 2  # shapes of the metrics, and the loop
@@ -321,7 +321,7 @@ def test_run_directory_explains_itself_without_the_dataset(tiny, tmp_path):
     policy, state = run.policy(0), run.state(0)
     observation = np.array([1.0, -2.0, 5.0], np.float32)
     normalised = (observation - dataset.observations.mean(0)) / (dataset.observations.std(0) + 1e-3)
-    expected = 1.5 + 2.5 * np.tanh(normalised @ np.asarray(state.weights) + np.asarray(state.side))
+    expected = 1.5 + 2.5 * np.tanh(normalised @ np.asarray(state.weights) + np.asarray(state.offset))
     np.testing.assert_allclose(policy(observation), expected, rtol=1e-4)
     np.testing.assert_allclose(policy({"heat": 5.0, "level": 1.0, "flow": -2.0}), expected, rtol=1e-4)
     assert not np.array_equal(run.policy(0, 4)(observation), policy(observation))

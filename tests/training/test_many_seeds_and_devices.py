@@ -65,6 +65,7 @@ import odaf
 from odaf.data.normalisation import Normaliser
 from odaf.data.sampling import device_columns
 from odaf.training import loop
+from odaf.algorithms.numbers import split
 
 assert jax.device_count() == 4
 dataset = tiny.tiny_dataset()
@@ -93,7 +94,7 @@ for learner in (tiny.TinyLearner(), odaf.EnsembleSAC(num_critics=2, hidden_sizes
             np.testing.assert_allclose(theirs[name], ours[name], rtol=1e-5, atol=1e-6, err_msg=name)
     for ours, theirs in zip(leaves, sharded, strict=True):
         np.testing.assert_allclose(theirs, ours, rtol=1e-5, atol=1e-6)
-    text = loop.train_stretch.lower(*fixed, state, mesh).compile().as_text()
+    text = loop._train_stretch.lower(*split(learner), *fixed[1:], state, mesh).compile().as_text()
     assert "all-reduce" in text, "the devices did not share the work"
 print("same")
 """

@@ -10,8 +10,11 @@ def _spec(low=0.0, high=1.0, terminates=False):
     return Spec(2, 1, (-1.0,), (1.0,), low, high, terminates, 200)
 
 
+AS_PUBLISHED = {"critic_norm": "none", "value_range": "none", "entropy_in_backup": True, "terms": []}
+
+
 def _monitor(settings=None, **spec):
-    return DivergenceMonitor(_spec(**spec), 0.99, settings or {})
+    return DivergenceMonitor(_spec(**spec), 0.99, AS_PUBLISHED if settings is None else settings)
 
 
 @pytest.mark.parametrize(
@@ -61,10 +64,19 @@ def test_options_that_are_in_use_are_not_recommended():
     (warning,) = _monitor(settings).observe(1, {"critic/max": 1e4})
     for option in ("critic_norm", "value_range", "entropy_in_backup"):
         assert option not in warning.message
+    assert "OODPessimism" not in warning.message  # the learner has no terms
     (warning,) = _monitor(settings | {"value_range": "none"}).observe(1, {"temperature/value": 11.0})
     assert 'value_range="auto"' in warning.message and "critic_norm" not in warning.message
     (warning,) = _monitor(settings).observe(1, {"temperature/value": 11.0})
     assert "a smaller learning rate" in warning.message  # never an empty recommendation
+
+
+def test_a_learner_without_critics_is_told_of_none_of_their_options():
+    monitor = DivergenceMonitor(_spec(), None, {"kind": "behaviour-cloning", "learning_rate": 3e-4})
+    assert monitor.observe(1, {"critic/max": 1e9}) == []  # without a discount no value is out of range
+    (warning,) = monitor.observe(2, {"actor/loss": float("nan")})
+    assert "a smaller learning rate" in warning.message
+    assert not any(word in warning.message for word in ("critic_norm", "value_range", "OODPessimism"))
 
 
 def test_resumed_monitor_does_not_repeat_itself():

@@ -19,6 +19,7 @@ entropy in the target. Each is a field. docs/algorithms/odaf.md shows what each 
 """
 
 import dataclasses
+import math
 import zlib
 from typing import Any, ClassVar
 
@@ -60,7 +61,7 @@ class EnsembleSAC(EnsembleSettings):
 
     def view(self) -> View:
         """Rows of `return_steps` steps; rewards are scaled by the learner itself."""
-        return View(return_steps=self.return_steps, discount=self.discount)
+        return View(self.return_steps, self.discount, normaliser_epsilon=self.normaliser_epsilon)
 
     # ---- before training ----------------------------------------------------------------------------------------
 
@@ -139,7 +140,9 @@ class EnsembleSAC(EnsembleSettings):
         if not isinstance(self.reward_scale, str):
             return jnp.asarray(self.reward_scale, jnp.float32)
         if self.reward_scale == "unit":
-            return jnp.asarray(1.0 / (max(abs(spec.reward_min), abs(spec.reward_max)) or 1.0), jnp.float32)
+            largest = max(abs(spec.reward_min), abs(spec.reward_max))
+            exponent = math.ceil(math.log2(largest)) if largest > 0.0 else 0
+            return jnp.asarray(2.0**-exponent, jnp.float32)
         low, high = value_range(spec, self.discount)
         largest = jnp.maximum(jnp.abs(low), jnp.abs(high))
         return jnp.where(largest > 0.0, LARGEST_SCALED_VALUE / largest, 1.0).astype(jnp.float32)

@@ -16,7 +16,7 @@ from odaf.errors import ConfigError
 class EnsembleSettings(Algorithm[EnsembleState]):
     """Every setting of the ensemble soft actor-critic; `EnsembleSAC` says what they do."""
 
-    structural: ClassVar[frozenset[str]] = frozenset({"prior_scale", "critic_output_bound"})
+    structural: ClassVar[frozenset[str]] = frozenset({"prior_scale", "critic_output_bound", "normaliser_epsilon"})
 
     num_critics: int = 10
     """K, the number of Q-functions."""
@@ -48,9 +48,13 @@ class EnsembleSettings(Algorithm[EnsembleState]):
     """n: targets sum the next n logged rewards before they bootstrap. More carries values back in fewer updates and
     piles up less pessimism on the way, at the price of trusting the logged actions for n steps."""
     reward_scale: Literal["auto", "unit"] | float = 1.0
-    """Factor on all rewards, so that their unit does not matter. "unit" gives the largest logged reward the size 1;
-    "auto" makes the largest value that the logged rewards allow 10, a size that an optimiser reaches soon. Weights of
-    terms and the entropy bonus stand beside scaled values; metrics are in the log's units."""
+    """Factor on all rewards, so that their unit does not matter. "unit" is the power of two, which rounds nothing, that
+    brings the largest logged reward to a size above 0.5 and at most 1; "auto" makes the largest value that the logged
+    rewards allow 10, a size that an optimiser reaches soon. Weights of terms and the entropy bonus stand beside scaled
+    values; metrics are in the log's units."""
+    normaliser_epsilon: float = 0.0
+    """Added to the standard deviations that observations are divided by, in their own units (papers 1e-3); 0 makes
+    units of no account."""
     warm_start: Literal["none", "returns"] = "none"
     """"returns" first fits the critics to the logged discounted returns and the actor to the logged actions."""
     warm_start_steps: int = 4000
@@ -95,7 +99,7 @@ class EnsembleSettings(Algorithm[EnsembleState]):
             )
         if not isinstance(self.reward_scale, str) and not 0.0 < self.reward_scale < math.inf:
             raise ConfigError(f"reward_scale={self.reward_scale} must be positive, 'auto' or 'unit'")
-        for field in ("prior_scale", "target_deviations"):
+        for field in ("prior_scale", "target_deviations", "normaliser_epsilon"):
             if getattr(self, field) < 0.0:
                 raise ConfigError(f"{field}={getattr(self, field)} must not be negative")
         for field in ("batch_size", "return_steps", "warm_start_steps"):

@@ -18,6 +18,7 @@ class View:
         discount: weight of a reward one step later, in [0, 1); None for a learner that has no use for later rewards.
         reward_scale: factor on every logged reward, after the shift.
         reward_shift: added to every logged reward, such as -1 in mazes whose reward is 1 at the goal.
+        normaliser_epsilon: added to the standard deviations that observations are divided by, in the user's units.
         extras: further columns, in `Transitions.extras` by name:
             `next_actions` [act_dim], scaled to [-1, 1]: the action logged at the successor, zero where none was;
             `followed`: 1.0 where that action was logged, 0.0 at an episode's last row;
@@ -30,6 +31,7 @@ class View:
     discount: float | None = None
     reward_scale: float = 1.0
     reward_shift: float = 0.0
+    normaliser_epsilon: float = 0.0
     extras: tuple[Extra, ...] = ()
 
     def __post_init__(self) -> None:

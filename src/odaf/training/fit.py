@@ -90,7 +90,7 @@ def fit(
         "stretch": int(stretch),
         "on_divergence": on_divergence,
     }
-    normaliser = Normaliser.fit(dataset.observations, epsilon=1e-3)
+    normaliser = Normaliser.fit(dataset.observations, algorithm.view().normaliser_epsilon)
     data = run_directory.data_record(dataset, normaliser, data_path)
     path = Path(directory)
     run_directory.refuse_foreign(path)

@@ -109,8 +109,9 @@ class DivergenceMonitor:
         less_pessimism: bool = False,
         lower_learning_rate: bool = False,
     ) -> str:
+        # Only what this learner has and does not use yet.
         options = [
-            f"{name}={helpful!r}"
+            f'{name}="{helpful}"' if isinstance(helpful, str) else f"{name}={helpful}"
             for name, helpful in (("critic_norm", "layer"), ("value_range", "auto"), ("entropy_in_backup", False))
             if _setting(self.settings, name) not in (None, helpful) and (entropy or name != "entropy_in_backup")
         ]
