@@ -18,6 +18,7 @@ sys.path.insert(0, str(ROOT))
 from benchmarks import learners, operations, parts  # noqa: E402
 
 SCRIPTS = {
+    "acting": ["--rounds", "2", "--calls", "2"],
     "load_dataset": ["--rows", "3000"],
     "import_table": ["--rows", "3000"],
     "first_update": ["--rows", "3000", "--learners", "sac-n", "--updates", "2"],

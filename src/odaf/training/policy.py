@@ -53,7 +53,7 @@ class Policy:
     action_units: tuple[str, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
-    @property
+    @cached_property
     def obs_dim(self) -> int:
         """Numbers in one observation."""
         return len(self.normaliser.mean)
@@ -179,7 +179,8 @@ class Policy:
         return _compiled_step(jax.tree.structure(self.actor), self.action_low, self.action_high)
 
     def _rows(self, observation: Observation) -> np.ndarray:
-        if isinstance(observation, Mapping):
+        # Arrays first: to ask whether something is a mapping takes longer than everything else here.
+        if not isinstance(observation, np.ndarray) and isinstance(observation, Mapping):
             observation = self._by_name(observation)
         rows = np.asarray(observation, np.float32)
         if rows.ndim not in (1, 2) or rows.shape[-1] != self.obs_dim:
