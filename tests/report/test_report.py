@@ -312,10 +312,13 @@ def test_last_evaluation_counts_and_not_the_best(run_writer, tmp_path):
     lines = [{"step": 5000, "evaluation/return_mean": 130.0}, {"step": 20000, "evaluation/return_mean": 33.25}]
     (run / "seed-0" / "metrics.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
     summary = json.loads((run / "seed-0" / "summary.json").read_text())
-    summary["evaluation"] = {"step": 20000, "mean_return": 33.25, "std_return": 2.0, "episodes": 50}
+    simulator = {"mujoco": "3.3.7", "contact_margins": "larger"}
+    evaluation = {"step": 20000, "mean_return": 33.25, "std_return": 2.0, "episodes": 50, "simulator": simulator}
+    summary["evaluation"] = evaluation
     (run / "seed-0" / "summary.json").write_text(json.dumps(summary))
     page = build([run], tmp_path / "report.html")
-    assert page.row("odaf run")[1:4] == ["33.2", "2.0", "–"]
+    played = "odaf run · MuJoCo 3.3.7, the larger contact margin counted"
+    assert page.row(played)[1:4] == ["33.2", "2.0", "–"]
     assert "On average odaf earns less than the log's mean." in page.text
 
 

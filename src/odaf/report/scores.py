@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from odaf.environments.contact_margins import in_words
 from odaf.environments.reference_returns import normalised_score
 from odaf.evaluation.statistics import t_interval
 from odaf.report.records import Evaluation, RunRecord, SeedRecord, number, optional
@@ -35,6 +36,8 @@ class Score:
         train_seconds: mean over seeds, updates only.
         normalised: score where 0 is a random policy's return and 100 an expert's, with the environment version and the
             raw return, as `odaf.environments.reference_returns` gives it; `None` without reference returns.
+        simulator: what played the episodes, with its rule for contact margins; empty where the run does not tell, or
+            where it differs between seeds.
         status: "finished", or what the seeds that are not finished say of themselves.
     """
 
@@ -53,6 +56,7 @@ class Score:
     updates_per_second: float | None
     train_seconds: float | None
     normalised: Mapping[str, Any] | None
+    simulator: str
     status: str
 
 
@@ -97,8 +101,15 @@ def score(run: RunRecord, label: str) -> Score:
         updates_per_second=_mean([_updates_per_second(seed) for seed in run.seeds]),
         train_seconds=_mean([_train_seconds(seed) for seed in run.seeds]),
         normalised=normalised(run.evaluation_environment_id, float(means.mean()) if means.size else None),
+        simulator=_simulator(run),
         status=", ".join(unfinished) if unfinished else ("finished" if run.seeds else "not started"),
     )
+
+
+def _simulator(run: RunRecord) -> str:
+    evaluations = [seed.summary.get("evaluation") or {} for seed in run.evaluated]
+    found = {in_words(evaluation.get("simulator")) for evaluation in evaluations}
+    return found.pop() if len(found) == 1 else ""
 
 
 def normalised(environment: str | None, raw_return: float | None) -> Mapping[str, Any] | None:
