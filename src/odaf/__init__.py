@@ -7,7 +7,7 @@ The names below are the promise of this package; everything else may move. They 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 _HOME_OF = {
     "BehaviourCloning": "odaf.algorithms.behaviour_cloning",

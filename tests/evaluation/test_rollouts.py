@@ -10,7 +10,7 @@ from jaxtyping import Array
 from odaf.components.policies import Actor
 from odaf.data.normalisation import Normaliser
 from odaf.environments.start_seeds import EVALUATION_SEED_OFFSET, MOST_EPISODES
-from odaf.errors import ConfigError
+from odaf.errors import ConfigError, DivergenceError
 from odaf.evaluation import Episodes, RolloutEvaluator, Rollouts, rollout
 from odaf.evaluation.rollouts import summarise
 from odaf.training.policy import Policy
@@ -214,3 +214,96 @@ def test_a_policy_with_a_memory_hears_what_its_own_episode_earned():
         length = episodes.lengths[index]
         own = [action for seed, action in played if seed % MOST_EPISODES == index][:length]
         np.testing.assert_allclose(own, np.cumsum([0.0, *rewards[: length - 1]]) / 100.0, rtol=1e-5)
+
+
+class Shaky(Countdown):
+    """Fails in episodes of five steps: a reward, an observation or the policy's action is no number at step 2."""
+
+    what = "reward"
+
+    def step(self, action):
+        observation, reward, terminated, truncated, info = super().step(action)
+        if self.length == 5 and self.steps == 2:
+            reward = {"reward": np.nan, "huge": 1e300}.get(self.what, reward)
+            observation = observation * np.inf if self.what == "observation" else observation
+        return observation, reward, terminated, truncated, info
+
+
+@pytest.mark.parametrize(
+    ("what", "expected"),
+    [
+        ("reward", "a reward is not finite at step 2"),
+        ("huge", "a reward is not finite at step 2"),
+        ("observation", "an observation is not finite at step 2"),
+        ("action", "an action is not finite at step 3"),
+    ],
+)
+def test_what_is_no_number_marks_its_episode_and_counts_in_no_mean(monkeypatch, what, expected):
+    monkeypatch.setattr(Shaky, "what", what)
+
+    def policy(rows):
+        actions = _constant(rows)
+        if what == "action":
+            actions[(rows[:, 0] == 2) & (rows[:, 1] == 2)] = np.inf
+        return actions
+
+    found = rollout(policy, Shaky, 7)  # seeds end in 0 to 4, then 0 and 1: one episode of five steps
+    assert found.broken == {2: expected}
+    np.testing.assert_array_equal(np.isnan(found.returns), [False, False, True, False, False, False, False])
+    assert found.lengths.tolist() == [3, 4, 2, 6, 7, 3, 4]
+    assert not found.flags["success"][2]
+    summed = summarise(found)
+    sound = np.array([3, 4, 6, 7, 3, 4])
+    assert summed.summary["mean_return"] == pytest.approx((sound * (sound + 1) / 2).mean())
+    assert summed.summary["broken_episodes"] == summed.metrics["evaluation/broken_episodes"] == 1
+    assert "1 of 7 episodes broke off" in summed.warnings["broken-episodes"]
+
+
+def test_a_policy_without_an_answer_for_one_row_costs_that_episode_alone():
+    def policy(rows):
+        if ((rows[:, 0] == 3) & (rows[:, 1] == 1)).any():
+            raise DivergenceError("policy: its action is not a finite number")
+        return _constant(rows)
+
+    found = rollout(policy, Countdown, 5)
+    assert found.broken == {3: "an action is not finite at step 2"}
+    assert found.lengths.tolist() == [3, 4, 5, 1, 7]
+
+
+class Forgetful:
+    """A policy with a memory, the number of steps so far, that has no answer in its third step of episode 3."""
+
+    def begin(self, rows, /):
+        return np.zeros((rows, 1), np.float32)
+
+    def act(self, carry, observations, /):
+        if ((observations[:, 0] == 3) & (carry[:, 0] == 2)).any():
+            raise DivergenceError("policy: its action is not a finite number")
+        return carry + 0.5, carry + 1
+
+    def observe(self, carry, rewards, /):
+        return carry
+
+
+def test_the_memory_of_the_other_episodes_goes_on():
+    played = []
+
+    class Recorder(Countdown):
+        def step(self, action):
+            played.append((self.seed % MOST_EPISODES, float(action[0])))
+            return super().step(action)
+
+    found = rollout(Forgetful(), Recorder, 5)
+    assert found.broken == {3: "an action is not finite at step 3"}
+    for index, length in enumerate([3, 4, 5, 2, 7]):
+        assert [action for episode, action in played if episode == index] == [step + 0.5 for step in range(length)]
+
+
+def test_where_every_episode_breaks_there_is_no_mean():
+    class Void(Countdown):
+        def reset(self, *, seed=None):
+            return super().reset(seed=seed)[0] * np.nan, {}
+
+    found = rollout(_constant, Void, 2)
+    assert set(found.broken.values()) == {"an observation is not finite at the start"}
+    assert np.isnan(summarise(found).summary["mean_return"]) and found.observations.shape == (2, 1, 2)

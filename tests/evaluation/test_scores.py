@@ -20,7 +20,9 @@ def test_scores_over_four_seeds_by_hand():
     assert scores.estimate().low == pytest.approx(115.125131, abs=1e-4)
     assert scores.rate("success_rate") == pytest.approx(0.8) and scores.rate("stitched_rate") is None
     assert scores.by_seed[1].returns == (121.0, 123.0)
-    assert scores.to_dict()["seeds"]["3"] == {"step": 10, "mean_return": 128.0}
+    assert scores.to_dict()["seeds"]["3"] == {
+        "step": 10, "mean_return": 128.0, "std_return": 1.0, "success_rate": 0.8, "returns": [127.0, 129.0],
+    }  # fmt: skip
     assert str(scores).startswith("return 122.0 ± 4.3")
 
 

@@ -6,11 +6,12 @@ import jax.random as jr
 import numpy as np
 
 from odaf.algorithms.base import Algorithm
-from odaf.algorithms.config import to_dict
 from odaf.data.dataset import Dataset
 from odaf.data.normalisation import Normaliser
-from odaf.training import checkpoints, run_directory
+from odaf.training import checkpoints, run_writing
 from odaf.training.files import plain
+from odaf.training.process_record import process_record
+from odaf.training.settings import RunSettings
 
 
 def dataset_of(obs_dim: int, act_dim: int, environment: dict, episodes: int = 4, steps: int = 10) -> Dataset:
@@ -32,14 +33,11 @@ def untrained_run(
     directory: Path, learner: Algorithm, dataset: Dataset, seeds: tuple[int, ...] = (0, 1), data: Path | None = None
 ) -> Path:
     """A run of 0 updates; each seed has its own random parameters."""
-    config = {
-        "format": run_directory.FORMAT, "version": run_directory.VERSION, "preset": None, "steps": 0,
-        "algorithm": to_dict(learner), "seeds": list(seeds), "evaluate": None, "checkpoint_every": 1, "stretch": 1,
-        "on_divergence": "warn",
-    }  # fmt: skip
+    settings = RunSettings(steps=1, seeds=seeds, checkpoint_every=1, stretch=1).resolved()
+    config = run_writing.config_record(learner, settings, None) | {"steps": 0}
     normaliser = Normaliser.fit(dataset.observations, epsilon=1e-3)
-    record = run_directory.data_record(dataset, normaliser, data)
-    run = run_directory.begin(directory, plain(config), plain(record), dataset)
+    record = run_writing.data_record(dataset, normaliser, data, directory)
+    run = run_writing.begin(directory, config, plain(record), process_record(1, "default"), dataset)
     for seed in seeds:
         state = learner.init(jr.key(seed), dataset.spec(), ())
         summary = {"seed": seed, "step": 0, "status": "finished", "evaluation": None, "warnings": []}

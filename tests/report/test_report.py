@@ -349,7 +349,7 @@ def test_what_is_no_run_is_refused_by_name(run_writer, tmp_path):
     config = json.loads((run / "config.json").read_text())
     for field, value in (("format", "other"), ("version", 99)):
         (run / "config.json").write_text(json.dumps(config | {field: value}))
-        with pytest.raises(ConfigError, match=rf"config\.json: field '{field}' is {value!r}"):
+        with pytest.raises(CheckpointError, match=rf"config\.json: field '{field}' is {value!r}"):
             report.build([run], out)
     assert not out.exists()
 
@@ -369,10 +369,10 @@ def test_damaged_files_are_refused_by_name(run_writer, tmp_path):
     refused(
         "seed-0/metrics.jsonl", b"oops\n" + whole["seed-0/metrics.jsonl"], CheckpointError, r"metrics\.jsonl, line 1"
     )
-    refused("data_sample.npz", whole["data_sample.npz"][:200], ConfigError, r"data_sample\.npz: cannot be read")
+    refused("data_sample.npz", whole["data_sample.npz"][:200], CheckpointError, r"data_sample\.npz: cannot be read")
     np.savez(tmp_path / "objects.npz", returns=np.array([{}], dtype=object))
     pickled = (tmp_path / "objects.npz").read_bytes()
-    refused("data_sample.npz", pickled, ConfigError, r"data_sample\.npz: cannot be read as plain arrays")
+    refused("data_sample.npz", pickled, CheckpointError, r"data_sample\.npz: cannot be read as plain arrays")
     assert out.read_text() == "an earlier page"
 
 

@@ -19,6 +19,7 @@ from odaf.runs.side_by_side import default_workers, side_by_side
 from odaf.training.combined_progress import CombinedProgress, SeedReport
 from odaf.training.fit import one_after_another as sequential
 from odaf.training.progress import Lines
+from odaf.training.settings import RunSettings
 
 # A process on one core: so its own seeds and those of its workers are computed with one thread.
 SCRIPT = """
@@ -152,9 +153,10 @@ def test_settings_that_cannot_work_are_refused(data: Path, tmp_path: Path):
 def test_number_of_workers_when_nobody_says(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr("odaf.runs.side_by_side.cores", lambda: 3)
     assert [default_workers(seeds) for seeds in (1, 2, 5)] == [1, 2, 3]
+    assert default_workers(5, cores_each=2) == 1
     monkeypatch.setattr("jax.default_backend", lambda: "gpu")
     assert default_workers(5) == 1
-    assert side_by_side(1, None) is sequential
+    assert side_by_side(RunSettings(), None, apart=False) is sequential
 
 
 def test_progress_of_all_seeds_is_one_line(monkeypatch: pytest.MonkeyPatch):

@@ -13,7 +13,7 @@ from odaf import training
 from odaf.data.normalisation import Normaliser
 from odaf.data.sampling import device_columns, sample
 from odaf.errors import CheckpointError, ConfigError, DatasetError, DivergenceError
-from odaf.training import loop, run_directory
+from odaf.training import loop, run_writing
 
 
 def _fit(tiny, directory, **changes):
@@ -103,7 +103,7 @@ def test_what_lies_beyond_the_checkpoint_is_removed_before_training_goes_on(tiny
     (seed / "checkpoints" / ".writing-7-00000008").mkdir(parents=True)
     for name in ("evaluations/00000004.npz", "evaluations/00000008.npz", "notes.txt", ".writing-7-summary.json"):
         (seed / name).write_text("")
-    run_directory.clean(seed, 4)
+    run_writing.clean(seed, 4)
     left = {str(path.relative_to(seed)) for path in seed.rglob("*")}
     assert left == {"evaluations", "evaluations/00000004.npz", "checkpoints", "notes.txt"}
 
@@ -231,8 +231,9 @@ def test_resume_refuses_what_would_not_be_the_same_run(tiny, tmp_path):
         training.resume(run.path, dataset=tiny.tiny_dataset(75), progress=False)
     with pytest.raises(ConfigError, match="steps: 3 asked"):
         training.resume(run.path, 3, dataset=tiny.tiny_dataset(), progress=False)
-    with pytest.raises(ConfigError, match="evaluate"):
-        training.resume(run.path, dataset=tiny.tiny_dataset(), evaluate=tiny.TinyEvaluator(), progress=False)
+    _fit(tiny, tmp_path / "evaluated", steps=4, evaluate=tiny.TinyEvaluator())
+    with pytest.raises(ConfigError, match=r"evaluate: the run was begun with .*or None to go on without"):
+        training.resume(tmp_path / "evaluated", dataset=tiny.tiny_dataset(), progress=False)
     with pytest.raises(CheckpointError, match=r"nowhere.*no such file.*odaf train --out"):
         training.resume(tmp_path / "nowhere", progress=False)
 
@@ -376,3 +377,140 @@ def test_training_is_compiled_before_anything_is_trained_and_once_for_all_seeds(
     monkeypatch.setattr(tiny.TinyLearner, "pretrain", told("pretrain", pretrain))
     _fit(tiny, tmp_path, seeds=(0, 1))
     assert order == ["compile", "pretrain", "pretrain"]
+
+
+def _steps_kept(run, seed=0):
+    return [checkpoint.step for checkpoint in run.checkpoints(seed)]
+
+
+def test_old_checkpoints_go_but_for_the_last_three_and_every_tenth(tiny, tmp_path):
+    run = _fit(tiny, tmp_path / "run", steps=25, checkpoint_every=1, stretch=25)
+    assert _steps_kept(run) == [0, 10, 20, 23, 24, 25]
+    with pytest.raises(CheckpointError, match=r"step 15 \(.*keeps the last 3 and one in 10.*there are: 0, 10, 20, 23"):
+        run.policy(0, 15)
+    run = _fit(tiny, tmp_path / "few", steps=8, checkpoint_every=3, keep_checkpoints=(1, 0))
+    assert _steps_kept(run) == [8]
+    assert run.summary(0)["status"] == "finished"
+    run = _fit(tiny, tmp_path / "all", steps=6, checkpoint_every=1, keep_checkpoints="all")
+    assert _steps_kept(run) == [0, 1, 2, 3, 4, 5, 6]
+
+
+def test_a_diverged_run_keeps_what_it_had_before(tiny, tmp_path):
+    with pytest.raises(DivergenceError):
+        _fit(
+            tiny,
+            tmp_path / "run",
+            algorithm=tiny.TinyLearner(learning_rate=1e15),
+            checkpoint_every=2,
+            stretch=2,
+            keep_checkpoints=(1, 0),
+        )
+    assert _steps_kept(training.load_run(tmp_path / "run")) == [2, 4]
+
+
+class _Failing:
+    """An evaluation that the environment breaks off."""
+
+    every = 5
+
+    def __call__(self, policy, directory, step):
+        raise ConfigError("the simulator is on fire")
+
+    def to_dict(self):
+        return {"kind": "failing"}
+
+
+def test_a_failing_evaluation_costs_no_update_and_can_be_left_out_or_changed(tiny, tmp_path):
+    with pytest.raises(ConfigError, match="on fire"):
+        _fit(tiny, tmp_path / "run", evaluate=_Failing())
+    run = training.load_run(tmp_path / "run")
+    assert run.checkpoint(0).step == 5 and run.summary(0)["status"] == "running"
+    with pytest.raises(ConfigError, match="on fire"):
+        training.resume(run.path, dataset=tiny.tiny_dataset(), evaluate=_Failing(), progress=False)
+    assert run.checkpoint(0).step == 5  # it is tried again before anything else
+    training.resume(run.path, dataset=tiny.tiny_dataset(), evaluate=None, progress=False)
+    run = training.load_run(run.path)
+    assert run.summary(0)["status"] == "finished" and run.config["evaluate"] is None
+    record = json.loads((run.path / "environment.json").read_text())["resumed"][-1]
+    assert record["changed"] == {"evaluate": {"from": {"kind": "failing"}, "to": None}}
+    # A finished run that is to be evaluated after all has its last checkpoint tried, and trains no more.
+    training.resume(run.path, dataset=tiny.tiny_dataset(), evaluate=tiny.TinyEvaluator(), progress=False)
+    summary = run.summary(0)
+    assert summary["evaluation"]["step"] == 12 and summary["status"] == "finished"
+    assert run.metrics(0)[-1] == {"step": 12, "evaluation/return_mean": summary["evaluation"]["mean_return"]}
+
+
+def test_an_evaluation_that_fails_at_the_end_leaves_a_trained_run(tiny, tmp_path):
+    with pytest.raises(ConfigError, match="on fire"):
+        _fit(tiny, tmp_path / "run", steps=3, evaluate=_Failing())
+    run = training.load_run(tmp_path / "run")
+    assert run.checkpoint(0).step == 3 and run.summary(0)["status"] == "running"
+    training.resume(run.path, dataset=tiny.tiny_dataset(), evaluate=None, progress=False)
+    assert run.summary(0)["status"] == "finished"
+
+
+def _begun_by_an_older_odaf(path):
+    config, machine = (
+        json.loads((path / "config.json").read_text()),
+        json.loads((path / "environment.json").read_text()),
+    )
+    config |= {"version": 1}
+    for name in ("keep_checkpoints", "workers", "cores", "device", "precision"):
+        del config[name]
+    (path / "config.json").write_text(json.dumps(config))
+    machine["versions"]["odaf"] = "0.1.0"
+    (path / "environment.json").write_text(json.dumps(machine))
+
+
+def test_a_run_of_an_older_version_tells_its_scores_and_is_not_gone_on_with(tiny, tmp_path):
+    path = _fit(tiny, tmp_path / "run", evaluate=tiny.TinyEvaluator()).path
+    _begun_by_an_older_odaf(path)
+    run = training.load_run(path)
+    assert run.summary(0)["evaluation"]["step"] == 12 and run.series(0)["tiny/loss"].steps.tolist() == [4, 8, 12]
+    data, words = tiny.tiny_dataset(), "was written by odaf 0.1.0"
+    with pytest.raises(CheckpointError, match=f"{words}.*odaf==0.1.0.*train again"):
+        run.policy(0)
+    with pytest.raises(CheckpointError, match=words):
+        training.resume(path, 16, dataset=data, evaluate=None, progress=False)
+    with pytest.raises(CheckpointError, match=words):
+        _fit(tiny, path, evaluate=tiny.TinyEvaluator())
+
+
+def test_data_are_found_from_where_the_run_was_begun_beside_it_or_where_one_says(tiny, tmp_path, monkeypatch):
+    (tmp_path / "project").mkdir()
+    monkeypatch.chdir(tmp_path / "project")
+    tiny.tiny_dataset().save("log.h5")
+    _fit(tiny, "runs/a", steps=2, data_path="log.h5")
+    monkeypatch.chdir(tmp_path)
+    assert training.resume("project/runs/a", 3, progress=False).checkpoint(0).step == 3
+    (tmp_path / "project").rename(tmp_path / "moved")  # the whole project, runs and all
+    assert training.resume("moved/runs/a", 4, progress=False).checkpoint(0).step == 4
+    (tmp_path / "moved" / "log.h5").rename(tmp_path / "elsewhere.h5")
+    with pytest.raises(DatasetError, match=r"looked for .*project/log\.h5, .*moved/log\.h5.*--data FILE.*dataset=FILE"):
+        training.resume("moved/runs/a", 5, progress=False)
+
+
+def test_a_machine_that_cannot_give_the_same_bits_is_told_beforehand(tiny, tmp_path):
+    heard = []
+
+    class Report:
+        def start(self, stage, total, done=0, unit="updates"):
+            heard.append("start")
+
+        def advance(self, done, note=""): ...
+
+        def message(self, text):
+            heard.append(text)
+
+        def close(self): ...
+
+    run = _fit(tiny, tmp_path / "run", steps=4)
+    path = run.path / "environment.json"
+    machine = json.loads(path.read_text())
+    path.write_text(json.dumps(machine | {"processor": "Abacus 3000", "cores": 5}))
+    training.resume(run.path, 6, dataset=tiny.tiny_dataset(), progress=Report())
+    assert "processor was Abacus 3000, is" in heard[0] and "cores was 5, is" in heard[0]
+    assert "not with the bits of an unbroken one" in heard[0] and heard[1] == "start"
+    heard.clear()
+    training.resume(run.path, 8, dataset=tiny.tiny_dataset(), progress=Report())
+    assert heard[0] == "start"

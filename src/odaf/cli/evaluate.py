@@ -46,12 +46,12 @@ class EvaluateOptions:
     step: Annotated[int | None, tyro.conf.arg(metavar="INT")] = None
     """Checkpoint to take, by its number of updates; without it, the last."""
     env: Annotated[str | None, tyro.conf.arg(metavar="ID")] = None
-    """Gymnasium id of the environment; without it, the run's own."""
+    """Gymnasium id of the environment, or MODULE:ID where a module must be imported first; without it, the run's."""
     contact_margins: Annotated[Literal["added", "larger"] | None, tyro.conf.arg(metavar="RULE")] = None
     """How MuJoCo counts the contact margins of two parts that touch: `added`, as it does from 3.5.0 on, or `larger`, as
     before, which makes Hopper and the point mazes the older bodies; without it, as the run did."""
     json: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
-    """File to write the scores to."""
+    """File to write the scores to, with every episode's return and length."""
     attack: Annotated[Attack | None, tyro.conf.arg(metavar="NAME")] = None
     """Show the policies falsified observations: `random`, or `action-diff`, `min-q`, `min-q-std`, each also with
     `-first-order` or `-mixed-order` after it."""
@@ -129,6 +129,8 @@ def _in_peace(options: EvaluateOptions) -> None:
             f"\n{normalised['environment']}: normalised score {number(normalised['normalised_score'])} "
             f"(0 random, 100 expert), raw return {number(normalised['mean_return'])}"
         )
+    for note in scores.notes:
+        print(f"\nnote: {note}")
     if options.json is not None:
         write_json(options.json, scores.to_dict())
 

@@ -7,12 +7,19 @@ from pathlib import Path
 
 @contextlib.contextmanager
 def resumable(directory: Path) -> Iterator[None]:
-    """Adds to an interruption what to type to go on with the run in `directory`."""
+    """Adds to an interruption what is saved of the run in `directory`, and what to type to go on with it."""
     try:
         yield
     except KeyboardInterrupt:
-        if (directory / "config.json").exists():
-            hint = f"everything up to the last checkpoint is kept; go on with: odaf resume {directory}"
+        saved = ", ".join(
+            f"seed {folder.parent.name.removeprefix('seed-')} at update {max(steps):,}"
+            for folder in sorted(directory.glob("seed-*/checkpoints"))
+            if (steps := [int(child.name) for child in folder.iterdir() if child.name.isdigit()])
+        )
+        if saved:
+            hint = f"saved: {saved}; go on with: odaf resume {directory}"
+        elif (directory / "config.json").exists():
+            hint = f"nothing was trained yet; begin with: odaf resume {directory}"
         else:
             hint = "nothing was trained yet; repeat the command to begin again"
         raise KeyboardInterrupt(hint) from None

@@ -73,6 +73,19 @@ def settings_of(algorithm: Any) -> list[tuple[str, Any, Any]]:
     return entries
 
 
+def run_settings() -> type:
+    """A dataclass of options for every field of `RunSettings` but `evaluate`, which has options of its own."""
+    from odaf.training.settings import RunSettings
+
+    entries = [entry for entry in _fields_of(RunSettings()) if entry[0] != "evaluate"]
+    for place, (name, annotation, value) in enumerate(entries):
+        if name in ("workers", "cores"):
+            entries[place] = (name, Annotated[annotation, tyro.conf.arg(metavar="INT")], value)
+    return dataclasses.make_dataclass(
+        "RunSettingsOptions", entries, frozen=True, namespace={"__doc__": "How the run is to go."}
+    )
+
+
 def with_settings(algorithm: Any, options: Any) -> Any:
     """The algorithm with the values that `settings_of` made options for."""
     changes = {name: getattr(options, name) for name, _, _ in _fields_of(algorithm) if name != TERMS}

@@ -1,7 +1,6 @@
 """`odaf train PRESET`: learn policies from a data set; every field of the preset is an option."""
 
 import dataclasses
-import itertools
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -10,7 +9,8 @@ import tyro
 
 from odaf.cli.compilation_cache import use_compilation_cache
 from odaf.cli.interrupts import resumable
-from odaf.cli.options import parse, settings_of, with_settings
+from odaf.cli.options import parse, run_settings, settings_of, with_settings
+from odaf.cli.process import option_given, prepare_process
 from odaf.cli.results import print_run
 from odaf.errors import ConfigError
 from odaf.runs import presets
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @dataclasses.dataclass(frozen=True)
 class RunOptions:
-    """The data, where the run goes and how long it lasts."""
+    """The data, where the run goes, and where its policies are tried."""
 
     data: Annotated[Path, tyro.conf.arg(metavar="FILE")]
     """Data set to learn from: a file of `odaf data generate`, or one in the D4RL layout."""
@@ -30,27 +30,17 @@ class RunOptions:
     """Directory for everything the run leaves behind; the same command again continues the run in it."""
     task: Annotated[str | None, tyro.conf.arg(metavar="TASK")] = None
     """Take the preset's values for this task, as in hopper-medium; the defaults of this page are then that task's."""
-    steps: int = 20_000
-    """Updates for each seed."""
-    seeds: tuple[int, ...] = (0,)
-    """One policy is trained for each; the same seed gives the same policy."""
-    workers: Annotated[int | None, tyro.conf.arg(metavar="INT")] = None
-    """Processes that train seeds side by side; without it, one for each seed up to the number of cores, or a single one
-    where an accelerator is used."""
     evaluate_every: int = 5_000
     """Updates between two evaluations; the last update is evaluated too. 0 never evaluates."""
     episodes: int = 50
     """Episodes in each evaluation."""
     env: Annotated[str | None, tyro.conf.arg(metavar="ID")] = None
-    """Gymnasium id of the environment to evaluate in; without it, the one that the data set names."""
+    """Gymnasium id of the environment to evaluate in, or MODULE:ID where a module must be imported first; without it,
+    the one that the data set names."""
     contact_margins: Annotated[Literal["added", "larger"] | None, tyro.conf.arg(metavar="RULE")] = None
     """How MuJoCo counts the contact margins of two parts that touch: `added`, as it does from 3.5.0 on, or `larger`, as
     before, which makes Hopper and the point mazes the older bodies; without it, as the data set says or the
     installed one does."""
-    checkpoint_every: int = 5_000
-    """Updates between two checkpoints."""
-    on_divergence: Literal["warn", "stop"] = "warn"
-    """What to do when values leave the range that the rewards allow."""
     compilation_cache: bool = True
     """Keep compiled programs in the user's cache folder (ODAF_CACHE_DIR names another), for a quick start next time."""
     quiet: bool = False
@@ -62,42 +52,42 @@ def run(arguments: list[str]) -> None:
     if not arguments or arguments[0].startswith("-"):
         return _without_preset(arguments)
     preset, rest = arguments[0], arguments[1:]
-    algorithm = presets.load(preset, task=_task(rest))
+    prepare_process(*(option_given(rest, option) for option in ("--out", "--cores", "--device")))
+    # The defaults of the options depend on the task.
+    algorithm = presets.load(preset, task=option_given(rest, "--task"))
     options: Any = parse(_options(preset, algorithm), rest, f"train {preset}")
-    return train(preset, with_settings(algorithm, options.settings), options.run)
+    return train(preset, with_settings(algorithm, options.settings), options.run, options.how)
 
 
-def _task(arguments: list[str]) -> str | None:
-    """What follows --task: it must be known before the options are read, since their defaults depend on it."""
-    for word, following in itertools.zip_longest(arguments, arguments[1:]):
-        if word == "--task":
-            return following
-        if word.startswith("--task="):
-            return word.removeprefix("--task=")
-    return None
+def train(preset: str, algorithm: Any, options: RunOptions, how: Any) -> None:
+    """Train, then print where each seed stands.
 
-
-def train(preset: str, algorithm: Any, options: RunOptions) -> None:
-    """Train, then print where each seed stands."""
+    Args:
+        preset: its name.
+        algorithm: the learner.
+        options: data, directory and evaluation.
+        how: the other fields of `RunSettings`.
+    """
     from odaf.data import Dataset
     from odaf.runs.fit import fit
     from odaf.runs.side_by_side import default_workers
-    from odaf.training.run_directory import refuse_foreign
+    from odaf.training.fit import recorded_config
+    from odaf.training.run_writing import refuse_foreign
+    from odaf.training.settings import RunSettings
 
     use_compilation_cache(options.compilation_cache)
     refuse_foreign(options.out)
     dataset = Dataset.load(options.data)
+    settings = RunSettings(**vars(how), evaluate=_evaluation(options, dataset))
+    if settings.workers is None:
+        cores = settings.cores or (recorded_config(options.out) or {}).get("cores") or 1
+        settings = dataclasses.replace(settings, workers=default_workers(len(settings.seeds), cores))
     with resumable(options.out):
         result = fit(
             algorithm,
             dataset,
-            steps=options.steps,
             directory=options.out,
-            seeds=options.seeds,
-            workers=default_workers(len(options.seeds)) if options.workers is None else options.workers,
-            evaluate=_evaluation(options, dataset),
-            checkpoint_every=options.checkpoint_every,
-            on_divergence=options.on_divergence,
+            settings=settings,
             progress=not options.quiet,
             preset=preset,
             data_path=options.data,
@@ -135,6 +125,7 @@ def _options(preset: str, algorithm: Any) -> type:
         "TrainOptions",
         [
             ("run", Annotated[RunOptions, tyro.conf.arg(name="")]),
+            ("how", Annotated[run_settings(), tyro.conf.arg(name="")]),
             ("settings", Annotated[settings, tyro.conf.arg(name="")]),
         ],
         frozen=True,

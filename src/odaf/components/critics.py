@@ -41,7 +41,14 @@ def over_members(function: Callable[[Member], Result], stack: Member) -> Result:
 
 
 def usable_cores() -> int:
-    """Processor cores that this process may run on."""
+    """Processor cores that computations here are laid out for.
+
+    XLA takes as many threads as the environment variable NPROC says where it is set before JAX starts, and otherwise as
+    many as there are cores for this process. What a sum over a batch adds up to in the last bit follows from that.
+    """
+    told = os.environ.get("NPROC", "")
+    if told.isdecimal() and int(told) > 0:
+        return int(told)
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 

@@ -4,6 +4,7 @@ import contextlib
 import io
 import sys
 from collections.abc import Callable, Mapping
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from odaf.environments import contact_margins as margins
@@ -28,8 +29,9 @@ def make(
     Args:
         environment: `{"name": "pointmaze", "maze": {...}, "steps": 200}` or
             `{"name": "gymnasium", "id": "Hopper-v4", "kwargs": {}}`; JSON types, as found in `Dataset.environment`. The
-            latter may say `max_episode_steps` (null: no limit) where the id's own does not hold, and `wrappers`, the
-            innermost first, each `{"name": "RescaleAction", "kwargs": {...}}`; both may say `contact_margins`.
+            latter's id may be `"MODULE:ID"`, which imports the module that registers it, and it may say
+            `max_episode_steps` (null: no limit) where the id's own does not hold, and `wrappers`, the innermost first,
+            each `{"name": "RescaleAction", "kwargs": {...}}`; both may say `contact_margins`.
         contact_margins: how MuJoCo counts the margins of geoms that touch, see `odaf.environments.contact_margins`;
             in the place of what `environment` says. None leaves it to that, and it to the installed MuJoCo.
 
@@ -56,6 +58,7 @@ def make(
             import gymnasium
         except ImportError as error:
             raise ConfigError(f"environment '{identity}' needs gymnasium ({error}); {_EXTRA}") from error
+        identity = _imported(identity)
         try:
             _registered(identity)
         except gymnasium.error.Error as error:
@@ -63,7 +66,8 @@ def make(
                 f"environment '{identity}': gymnasium does not know it ({error}); check the name, or import the "
                 "package that registers it"
             ) from error
-        return lambda: make_described(environment)
+        described = {**environment, "id": identity}
+        return lambda: make_described(described)
     raise ConfigError(f"environment: name is {name!r}; known are 'pointmaze' and 'gymnasium'")
 
 
@@ -82,17 +86,23 @@ def make_untimed(environment: Mapping[str, Any]) -> "tuple[Callable[[], gymnasiu
     import gymnasium
 
     said = own is not None or "max_episode_steps" in environment
-    limit = own if said else gymnasium.spec(environment["id"]).max_episode_steps
+    limit = own if said else gymnasium.spec(_imported(environment["id"])).max_episode_steps
     return build, limit if limit is not None and limit > 0 else None
 
 
-def simulator_in(environment: Mapping[str, Any]) -> dict[str, Any] | None:
-    """What simulates the environment of a description, see `odaf.environments.contact_margins.simulator_of`."""
-    made = make(environment)()
+def _imported(identity: str) -> str:
+    """Gymnasium's own name of `MODULE:ID`, once the module that registers it is imported."""
+    module, colon, name = identity.partition(":")
+    if not colon:
+        return identity
     try:
-        return margins.simulator_of(made, environment.get("contact_margins"))
-    finally:
-        made.close()
+        import_module(module)
+    except ImportError as error:
+        raise ConfigError(
+            f"environment '{identity}': the module {module!r} cannot be imported ({error}); install it, or name its "
+            "folder in PYTHONPATH"
+        ) from error
+    return name
 
 
 def point_maze(maze: Maze, steps: int, rule: ContactMargins | None = None) -> "PointMaze":

@@ -1,21 +1,32 @@
-"""Letting a policy act: many episodes side by side, one compiled policy call a step."""
+"""Letting a policy act: many episodes side by side, one compiled policy call a step.
 
+A number that is not finite, be it a reward, an observation or an action, ends its episode and marks it: what such an
+episode would have earned is not known, so its return is NaN, and no mean counts it.
+"""
+
+import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from odaf.environments.contact_margins import ContactMargins, check, simulator_of
+from odaf.environments.contact_margins import ContactMargins, apply, check
+from odaf.environments.registry import make
 from odaf.environments.start_seeds import EVALUATION_SEED_OFFSET, MOST_EPISODES
-from odaf.errors import ConfigError
+from odaf.errors import ConfigError, OdafError
+from odaf.evaluation.examination import reward_of
+from odaf.evaluation.player import Acting, Player
 from odaf.training.evaluator import Evaluation
 from odaf.training.files import write_arrays
 from odaf.training.policy import Policy
 
 # An environment that is still going after so many steps has no time limit.
 _NO_LIMIT = 100_000
+# Name of an environment that a class or function of the user's builds, in records.
+CALLABLE = "callable"
 
 
 @runtime_checkable
@@ -32,20 +43,6 @@ class Environment(Protocol):
 MakeEnvironment = Callable[[], Environment]
 
 
-@runtime_checkable
-class Stepwise(Protocol):
-    """A policy that is told when episodes begin and what they earn, such as `odaf.Policy`, so that it may remember."""
-
-    def begin(self, rows: int, /) -> Any: ...
-
-    def act(self, carry: Any, observations: np.ndarray, /) -> tuple[np.ndarray, Any]: ...
-
-    def observe(self, carry: Any, rewards: np.ndarray, /) -> Any: ...
-
-
-Acting = Callable[[np.ndarray], np.ndarray] | Stepwise
-
-
 @dataclass(frozen=True)
 class Episodes:
     """What happened in a number of episodes; NaN stands after an episode's end.
@@ -54,7 +51,8 @@ class Episodes:
         observations: [episodes, time + 1, obs_dim] float32, in the user's units, the last observation included.
         rewards: [episodes, time] float32.
         lengths: [episodes] int64, steps.
-        returns: [episodes] float64, undiscounted sums of the rewards.
+        returns: [episodes] float64, undiscounted sums of the rewards; NaN for a broken episode.
+        broken: what was not a finite number, and when, for each episode that ended so; by the episode's number.
         flags: for each boolean in the info of every episode's last step (such as `success`): [episodes] bool.
     """
 
@@ -63,6 +61,7 @@ class Episodes:
     lengths: np.ndarray
     returns: np.ndarray
     flags: dict[str, np.ndarray]
+    broken: dict[int, str] = field(default_factory=dict)
 
     def save(self, path: Path) -> None:
         """Writes all arrays to one .npz file, flags under their own names, atomically."""
@@ -120,61 +119,55 @@ def rollout_in(
     first_seed = EVALUATION_SEED_OFFSET + seed * MOST_EPISODES
     starts = [environment.reset(seed=first_seed + index)[0] for index, environment in enumerate(environments)]
     current = np.stack([np.asarray(start, np.float32) for start in starts])
+    broken: dict[int, str] = {}
+    for index in np.flatnonzero(~np.isfinite(current).all(axis=1)).tolist():
+        broken[index] = "an observation is not finite at the start"
+        current[index] = 0.0
     observations, rewards = [current.copy()], []
     infos: list[dict[str, Any]] = [{} for _ in environments]
-    running = np.ones(episodes, bool)
+    running = np.array([index not in broken for index in range(episodes)])
     lengths = np.zeros(episodes, np.int64)
-    act, observe = _player(policy, episodes)
+    player = Player(policy, episodes)
     while running.any():
         if max_steps is None and len(rewards) >= _NO_LIMIT:
             raise ConfigError(f"environment: still going after {_NO_LIMIT:,} steps; give max_steps to cut episodes")
-        actions = act(current)
+        actions = player.act(current, running)
         seen = np.full_like(current, np.nan)
         earned = np.full(episodes, np.nan, np.float32)
-        for index in np.flatnonzero(running).tolist():
-            observation, reward, terminated, truncated, info = environments[index].step(actions[index])
-            seen[index] = current[index] = observation
-            earned[index] = reward
-            infos[index] = info
+        for index in np.flatnonzero(running & ~np.isfinite(actions).all(axis=1)).tolist():
+            # A simulator may play it as zero, and nobody would know.
+            broken[index], running[index] = f"an action is not finite at step {lengths[index] + 1}", False
+        played = np.flatnonzero(running)
+        for index in played.tolist():
+            # A copy, since some environments write into the action they are given.
+            observation, reward, terminated, truncated, info = environments[index].step(actions[index].copy())
             lengths[index] += 1
+            with np.errstate(over="ignore"):  # a number beyond single precision is not finite, and counts as such
+                seen[index], earned[index], infos[index] = observation, reward_of(reward), info
             running[index] = not (terminated or truncated or lengths[index] == max_steps)
+        sound = np.asarray(np.isfinite(seen[played]).all(axis=1))
+        void = ~(sound & np.isfinite(earned[played]))
+        current[played[sound]] = seen[played[sound]]
+        for index, observed in zip(played[void].tolist(), sound[void].tolist(), strict=True):
+            what = "a reward" if observed else "an observation"
+            broken[index], running[index] = f"{what} is not finite at step {lengths[index]}", False
         observations.append(seen)
         rewards.append(earned)
-        observe(np.where(np.isnan(earned), np.float32(0.0), earned))
-    table = np.stack(rewards, axis=1)
-    return Episodes(
-        observations=np.stack(observations, axis=1),
-        rewards=table,
-        lengths=lengths,
-        returns=np.nansum(table.astype(np.float64), axis=1),
-        flags=_flags(infos),
-    )
+        player.observe(np.where(np.isfinite(earned), earned, np.float32(0.0)))
+    table = np.stack(rewards, axis=1) if rewards else np.zeros((episodes, 0), np.float32)
+    returns = np.nansum(table.astype(np.float64), axis=1)
+    returns[list(broken)] = np.nan
+    return Episodes(np.stack(observations, axis=1), table, lengths, returns, _flags(infos, broken), broken)
 
 
-def _player(policy: Acting, episodes: int) -> tuple[Callable[[np.ndarray], np.ndarray], Callable[[np.ndarray], object]]:
-    """How to ask the policy for actions, and how to tell it rewards; the carry, if any, is kept in between."""
-    if not isinstance(policy, Stepwise):
-        return policy, lambda rewards: None
-    carry = policy.begin(episodes)
-
-    def act(observations: np.ndarray) -> np.ndarray:
-        nonlocal carry
-        actions, carry = policy.act(carry, observations)
-        return actions
-
-    def observe(rewards: np.ndarray) -> None:
-        nonlocal carry
-        carry = policy.observe(carry, rewards)
-
-    return act, observe
-
-
-def _flags(infos: Sequence[Mapping[str, Any]]) -> dict[str, np.ndarray]:
-    names = [name for name, value in infos[0].items() if isinstance(value, bool | np.bool_)]
+def _flags(infos: Sequence[Mapping[str, Any]], broken: Mapping[int, str]) -> dict[str, np.ndarray]:
+    """The booleans that every sound episode ends with; a broken one that does not tell counts as False."""
+    sound = [info for index, info in enumerate(infos) if index not in broken]
+    names = [name for name, value in (sound or [{}])[0].items() if isinstance(value, bool | np.bool_)]
     return {
-        name: np.array([info[name] for info in infos], bool)
+        name: np.array([bool(info.get(name, False)) for info in infos], bool)
         for name in names
-        if all(isinstance(info.get(name), bool | np.bool_) for info in infos)
+        if all(isinstance(info.get(name), bool | np.bool_) for info in sound)
     }
 
 
@@ -192,7 +185,9 @@ class Rollouts:
     """How a run is to be evaluated while it trains.
 
     Attributes:
-        environment: a gymnasium id, or a description for `odaf.environments.make`; None means the dataset's own.
+        environment: a gymnasium id (`MODULE:ID` imports the module that registers it first), a description for
+            `odaf.environments.make`, or a class or function without arguments that builds one; None means the
+            dataset's own. A run that is gone on with in another process must be given its class or function again.
         episodes: episodes in each evaluation.
         every: updates between two evaluations; the last update is always followed by one.
         seed: chooses starts; the same for every method and checkpoint, so that they can be compared in pairs.
@@ -201,7 +196,7 @@ class Rollouts:
             environment's description, and it to the installed MuJoCo. See `odaf.environments.contact_margins`.
     """
 
-    environment: str | Mapping[str, Any] | None = None
+    environment: str | Mapping[str, Any] | MakeEnvironment | None = None
     episodes: int = 50
     every: int = 5000
     seed: int = 0
@@ -228,15 +223,45 @@ class Rollouts:
             )
         if isinstance(environment, str):
             environment = {"name": "gymnasium", "id": environment, "kwargs": {}}
+        if not isinstance(environment, Mapping):
+            return replace(self, environment=environment)
         rule = {} if self.contact_margins is None else {"contact_margins": self.contact_margins}
         return replace(self, environment={**environment, **rule}, contact_margins=None)
 
+    @property
+    def rule(self) -> ContactMargins | None:
+        """How contact margins are to be counted, once the environment is resolved; None: as the simulator does."""
+        environment = self.environment
+        return environment.get("contact_margins") if isinstance(environment, Mapping) else self.contact_margins
+
+    @property
+    def name(self) -> str:
+        """What messages call the environment."""
+        return name_of(self.environment)
+
+    def maker(self) -> MakeEnvironment:
+        """What builds the environment, once it is resolved.
+
+        Raises:
+            ConfigError: it is not known, or not installed.
+        """
+        environment = self.environment
+        if isinstance(environment, Mapping):
+            if environment.get("name") == CALLABLE:
+                raise ConfigError(
+                    f"environment: the run was evaluated in what {environment.get('made_by')} builds; give that class "
+                    "or function again, as odaf.Rollouts(MyEnvironment), or name another environment with --env"
+                )
+            return make(environment)
+        if callable(environment):
+            return partial(_counting, environment, self.contact_margins, self.name)
+        raise ConfigError(f"environment: {environment!r} is not resolved")  # a mistake of ours, not the user's
+
     def to_dict(self) -> dict[str, Any]:
         """Plain JSON types; `from_dict` restores an equal object."""
-        environment = dict(self.environment) if isinstance(self.environment, Mapping) else self.environment
         return {
             "kind": "rollouts",
-            "environment": environment,
+            "environment": described(self.environment),
             "episodes": self.episodes,
             "every": self.every,
             "seed": self.seed,
@@ -253,31 +278,52 @@ class Rollouts:
 
 
 class RolloutEvaluator:
-    """Rollouts as the training loop wants them: environments are built once and reused at every evaluation."""
+    """Rollouts as the training loop wants them: environments are built once and reused at every evaluation.
 
-    def __init__(self, rollouts: Rollouts, make_env: MakeEnvironment):
-        self.rollouts = rollouts
+    Args:
+        rollouts: the settings, resolved.
+        make_env: builds an environment.
+        warnings: what the user must know about the environment, a sentence a kind.
+        simulator: what plays it, as `odaf.environments.contact_margins.simulator_of` says.
+    """
+
+    def __init__(
+        self,
+        rollouts: Rollouts,
+        make_env: MakeEnvironment,
+        warnings: Mapping[str, str] | None = None,
+        simulator: dict[str, Any] | None = None,
+    ):
+        self.rollouts, self.simulator = rollouts, simulator
         self.every = rollouts.every
-        self._make_env = make_env
+        self._make_env, self._warnings = make_env, dict(warnings or {})
         self._environments: list[Environment] = []
 
     def __call__(self, policy: Policy, directory: Path, step: int) -> Evaluation:
-        """Rolls out, writes `directory/evaluations/STEP.npz`, and sums up."""
-        if not self._environments:
-            self._environments = [self._make_env() for _ in range(self.rollouts.episodes)]
-        found = rollout_in(policy, self._environments, self.rollouts.seed, self.rollouts.max_steps)
+        """Rolls out, writes `directory/evaluations/STEP.npz`, and sums up.
+
+        Raises:
+            ConfigError: the environment failed; what was trained is saved.
+        """
+        try:
+            if not self._environments:
+                self._environments = [self._make_env() for _ in range(self.rollouts.episodes)]
+            found = rollout_in(policy, self._environments, self.rollouts.seed, self.rollouts.max_steps)
+        except OdafError:
+            raise
+        except Exception as error:  # an environment of somebody else's fails in ways of its own
+            run = directory.parent
+            raise ConfigError(
+                f"environment {self.rollouts.name}: failed in the evaluation after update {step:,} "
+                f"({type(error).__name__}: {error}). What was trained until then is saved in {directory}; mend the "
+                f"environment and `odaf resume {run}`, or go on without it: `odaf resume {run} --no-evaluation`"
+            ) from error
         found.save(directory / "evaluations" / f"{step:08d}.npz")
         evaluation = summarise(found)
-        simulator = simulator_of(self._environments[0], self.contact_margins)
-        if simulator is None:
+        evaluation = replace(evaluation, warnings={**self._warnings, **evaluation.warnings})
+        if self.simulator is None:
             return evaluation
-        return replace(evaluation, summary={**evaluation.summary, "simulator": simulator})
-
-    @property
-    def contact_margins(self) -> ContactMargins | None:
-        """The rule that the environment's description asks for."""
-        environment = self.rollouts.environment
-        return environment.get("contact_margins") if isinstance(environment, Mapping) else None
+        return replace(evaluation, summary={**evaluation.summary, "simulator": self.simulator})
 
     def to_dict(self) -> dict[str, Any]:
         return self.rollouts.to_dict()
@@ -290,11 +336,50 @@ class RolloutEvaluator:
 
 
 def summarise(episodes: Episodes) -> Evaluation:
-    """Mean and standard deviation (divisor N, over episodes) of the returns, and the share of each flag."""
-    returns, rates = episodes.returns, {f"{name}_rate": float(flag.mean()) for name, flag in episodes.flags.items()}
-    mean, std, count = float(returns.mean()), float(returns.std()), len(returns)
+    """Mean and standard deviation (divisor N) of the returns of the sound episodes, and the share of each flag.
+
+    Broken episodes are counted and named; where all are broken, mean and deviation are NaN.
+    """
+    sound = episodes.returns[np.isfinite(episodes.returns)]
+    rates = {f"{name}_rate": float(flag.mean()) for name, flag in episodes.flags.items()}
+    mean, std = (float(sound.mean()), float(sound.std())) if sound.size else (math.nan, math.nan)
+    count, broken = len(episodes.returns), len(episodes.broken)
     metrics: dict[str, float | int] = {"evaluation/return_mean": mean, "evaluation/return_std": std}
     metrics |= {f"evaluation/{name}": rate for name, rate in rates.items()}
     metrics |= {"evaluation/length_mean": float(episodes.lengths.mean()), "evaluation/episodes": count}
-    summary = {"mean_return": mean, "std_return": std, **rates, "episodes": count, "returns": returns.tolist()}
-    return Evaluation(metrics, summary, headline=mean)
+    summary = {"mean_return": mean, "std_return": std, **rates, "episodes": count}
+    summary["returns"] = episodes.returns.tolist()
+    warnings = {}
+    if broken:
+        metrics["evaluation/broken_episodes"] = summary["broken_episodes"] = broken
+        index, what = next(iter(episodes.broken.items()))
+        warnings["broken-episodes"] = (
+            f"{broken} of {count} episodes broke off on a number that is not finite and are left out of the mean; the "
+            f"first is episode {index}: {what}"
+        )
+    return Evaluation(metrics, summary, headline=mean, warnings=warnings)
+
+
+def _counting(build: MakeEnvironment, rule: ContactMargins | None, name: str) -> Environment:
+    environment = build()
+    apply(environment, rule, name)
+    return environment
+
+
+def described(environment: Any) -> Any:
+    """An environment as plain JSON types, for a record."""
+    if environment is None or isinstance(environment, str):
+        return environment
+    if isinstance(environment, Mapping):
+        return dict(environment)
+    return {"name": CALLABLE, "made_by": name_of(environment)}
+
+
+def name_of(environment: Any) -> str:
+    """What messages call an environment."""
+    if isinstance(environment, Mapping):
+        return str(environment.get("id") or environment.get("made_by") or environment.get("name"))
+    if isinstance(environment, str) or environment is None:
+        return str(environment)
+    kind = environment if hasattr(environment, "__qualname__") else type(environment)
+    return f"{kind.__module__}.{kind.__qualname__}"

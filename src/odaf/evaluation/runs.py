@@ -2,12 +2,15 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from odaf.evaluation.scores import Scores, scores_from
 from odaf.training.checkpoints import Checkpoint
 from odaf.training.policy import Policy
 from odaf.training.run_directory import RunDirectory
+
+if TYPE_CHECKING:
+    import polars
 
 
 @dataclass(frozen=True)
@@ -51,12 +54,29 @@ class Run:
         Raises:
             CheckpointError: a seed was not evaluated.
         """
-        return scores_from(self.summary, str(self.directory))
+        environment = self.files.evaluation_environment or {}
+        return scores_from(self.summary, str(self.directory), environment.get("id"))
 
     def checkpoints(self, seed: int | None = None) -> list[Checkpoint]:
         """A seed's checkpoints, earliest first."""
         return self.files.checkpoints(self.seeds[0] if seed is None else seed)
 
-    def metrics(self, seed: int | None = None) -> list[dict[str, Any]]:
-        """A seed's lines of `metrics.jsonl`."""
-        return self.files.metrics(self.seeds[0] if seed is None else seed)
+    def metrics(self, seed: int | None = None) -> "polars.DataFrame":
+        """What was logged, as a table with one row a seed and step.
+
+        Args:
+            seed: one seed; None takes all.
+
+        Returns:
+            Columns `seed` and `step`, then one for each quantity that any seed logged, by name; null where a step has
+            no such number. Of a step that was logged twice, as after a kill, the later number holds.
+        """
+        import polars
+
+        rows: dict[tuple[int, int], dict[str, Any]] = {}
+        for one in self.seeds if seed is None else (seed,):
+            for line in self.files.metrics(one):
+                rows.setdefault((one, line["step"]), {"seed": one}).update(line)
+        names = sorted({name for row in rows.values() for name in row} - {"seed", "step"})
+        schema = {"seed": polars.Int64, "step": polars.Int64, **dict.fromkeys(names, polars.Float64)}
+        return polars.DataFrame([rows[place] for place in sorted(rows)], schema=schema, strict=False)

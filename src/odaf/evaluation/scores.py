@@ -1,7 +1,8 @@
 """What a run is worth: its last checkpoint, seed by seed."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 from odaf.environments.reference_returns import normalised_score
@@ -19,7 +20,8 @@ class SeedScore:
         mean_return: over the evaluation episodes.
         std_return: over the evaluation episodes, divisor N.
         rates: shares of episodes, by name, such as `success_rate`.
-        returns: of each episode.
+        returns: of each episode; NaN for one that broke off on a number that is not finite, which no mean counts.
+        by_episode: for each fact that is kept of every episode, such as `lengths` or `success`: one entry an episode.
     """
 
     seed: int
@@ -28,6 +30,7 @@ class SeedScore:
     std_return: float
     rates: dict[str, float]
     returns: tuple[float, ...]
+    by_episode: Mapping[str, Sequence[Any]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -38,11 +41,13 @@ class Scores:
         by_seed: one entry a seed.
         environment: Gymnasium's name of where they were played, if it has one.
         simulator: what played them, as `odaf.environments.contact_margins.simulator_of` says; None where none is known.
+        notes: what must be known beside the numbers: broken episodes, an environment that ignores its seed.
     """
 
     by_seed: tuple[SeedScore, ...]
     environment: str | None = None
     simulator: Mapping[str, Any] | None = None
+    notes: tuple[str, ...] = ()
 
     def estimate(self, confidence: float = 0.95) -> Estimate:
         """Mean over seeds of their mean returns, spread over seeds, and Student's interval."""
@@ -84,8 +89,17 @@ class Scores:
             "interval": [estimate.low, estimate.high],
             "confidence": estimate.confidence,
             **{name: self.rate(name) for name in names},
+            **({"notes": list(self.notes)} if self.notes else {}),
             "seeds": {
-                str(score.seed): {"step": score.step, "mean_return": score.mean_return} for score in self.by_seed
+                str(score.seed): {
+                    "step": score.step,
+                    "mean_return": score.mean_return,
+                    "std_return": score.std_return,
+                    **score.rates,
+                    "returns": list(score.returns),
+                    **{name: list(values) for name, values in score.by_episode.items()},
+                }
+                for score in self.by_seed
             },
         }
 
@@ -115,8 +129,14 @@ def _score(seed: int, evaluation: Mapping[str, Any]) -> SeedScore:
     return SeedScore(
         seed=seed,
         step=evaluation["step"],
-        mean_return=evaluation["mean_return"],
-        std_return=evaluation["std_return"],
+        mean_return=_number(evaluation["mean_return"]),
+        std_return=_number(evaluation["std_return"]),
         rates={name: rate for name, rate in evaluation.items() if name.endswith("_rate")},
-        returns=tuple(evaluation["returns"]),
+        returns=tuple(_number(value) for value in evaluation["returns"]),
+        by_episode=evaluation.get("by_episode", {}),
     )
+
+
+def _number(value: float | None) -> float:
+    """A number as JSON keeps it, where one that is not finite is null."""
+    return math.nan if value is None else value

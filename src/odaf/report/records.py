@@ -15,20 +15,10 @@ from typing import Any
 import numpy as np
 
 from odaf.errors import ConfigError
-from odaf.training import logging
-from odaf.training.files import read_json
-from odaf.training.run_directory import FORMAT, VERSION
+from odaf.training.logging import Series
+from odaf.training.run_directory import RunDirectory
 
 LOCAL = "locally generated data"
-_REMEDY = "Restore the file, or train again."
-
-
-@dataclass(frozen=True)
-class Series:
-    """One logged quantity of one seed: `values[i]` was measured after `steps[i]` updates; both have shape [points]."""
-
-    steps: np.ndarray
-    values: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -60,13 +50,13 @@ class SeedRecord:
 
     Attributes:
         seed: its number.
-        directory: its folder.
+        files: the run it belongs to.
         series: logged quantities by name, for example `critic/mean`.
-        summary: `summary.json`, empty while the seed has none.
+        summary: where the seed stands.
     """
 
     seed: int
-    directory: Path
+    files: RunDirectory
     series: Mapping[str, Series]
     summary: Mapping[str, Any]
 
@@ -74,7 +64,7 @@ class SeedRecord:
     def status(self) -> str:
         """What the run says of itself, such as "finished"; "unfinished" for one that is running or was cut off."""
         status = str(self.summary.get("status", "running"))
-        return "unfinished" if status == "running" else status
+        return "unfinished" if status in ("running", "not started") else status
 
     @property
     def step(self) -> int:
@@ -93,11 +83,7 @@ class SeedRecord:
     @cached_property
     def episodes(self) -> tuple[int, Mapping[str, np.ndarray]] | None:
         """Step and arrays of the latest recorded evaluation: observations [episodes, time, obs_dim], returns, flags."""
-        files = sorted(
-            (path for path in (self.directory / "evaluations").glob("*.npz") if path.stem.isdigit()),
-            key=lambda path: int(path.stem),
-        )
-        return (int(files[-1].stem), read_arrays(files[-1])) if files else None
+        return self.files.episodes(self.seed)
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -276,49 +262,24 @@ def read_run(directory: Path) -> RunRecord:
     """Everything a report needs from one run directory.
 
     Raises:
-        ConfigError: the directory is no run, or holds arrays that cannot be read.
-        CheckpointError: a JSON file or a line of metrics is damaged. Either message names the file.
+        ConfigError: the directory is no run.
+        CheckpointError: a file is damaged, or of a version that is not known; the message names it.
     """
-    directory = Path(directory)
-    if not (directory / "config.json").exists():
+    files = RunDirectory(Path(directory))
+    if not (files.path / "config.json").exists():
         raise ConfigError(f"{directory}: not a run directory, config.json is missing")
-    config = read_json(directory / "config.json", _REMEDY)
-    if config.get("format") != FORMAT:
-        raise ConfigError(
-            f"{directory / 'config.json'}: field 'format' is {config.get('format')!r}, expected {FORMAT!r}; "
-            "this directory was not written by `odaf train`"
-        )
-    if config.get("version") != VERSION:
-        raise ConfigError(
-            f"{directory / 'config.json'}: field 'version' is {config.get('version')!r}, this odaf reads version "
-            f"{VERSION}; make the report with the version of odaf that made the run"
-        )
-    sample = directory / "data_sample.npz"
-    folders = [path for path in directory.glob("seed-*") if path.name.removeprefix("seed-").isdigit()]
     return RunRecord(
-        directory=directory,
-        config=config,
-        data=_json_if_there(directory / "data.json"),
-        machine=_json_if_there(directory / "environment.json"),
-        sample=read_arrays(sample) if sample.exists() else {},
-        seeds=tuple(sorted((_read_seed(path) for path in folders), key=lambda record: record.seed)),
+        directory=files.path,
+        config=files.config,
+        data=files.data if (files.path / "data.json").exists() else {},
+        machine=files.machine,
+        sample=files.sample,
+        seeds=tuple(
+            SeedRecord(seed, files, files.series(seed), files.summary(seed))
+            for seed in sorted(files.seeds)
+            if files.seed_directory(seed).is_dir()
+        ),
     )
-
-
-def read_arrays(path: Path) -> Mapping[str, np.ndarray]:
-    """All arrays of an npz file; pickled objects are refused.
-
-    Raises:
-        ConfigError: the file is damaged or holds anything but plain arrays.
-    """
-    try:
-        # Opened here, because numpy leaves the file open when the archive is damaged.
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-            return {name: archive[name] for name in archive.files}
-    except Exception as error:  # numpy and zipfile raise half a dozen unrelated types for damaged archives
-        raise ConfigError(
-            f"{path}: cannot be read as plain arrays ({error}); restore the file or evaluate again"
-        ) from error
 
 
 def number(value: Any) -> float:
@@ -337,33 +298,6 @@ def optional(value: Any) -> float | None:
 def _identity(environment: Any) -> str | None:
     identity = environment.get("id") if isinstance(environment, Mapping) else None
     return str(identity) if identity else None
-
-
-def _json_if_there(path: Path) -> Mapping[str, Any]:
-    return read_json(path, _REMEDY) if path.exists() else {}
-
-
-def _read_seed(directory: Path) -> SeedRecord:
-    return SeedRecord(
-        seed=int(directory.name.removeprefix("seed-")),
-        directory=directory,
-        series=_read_metrics(directory / "metrics.jsonl"),
-        summary=_json_if_there(directory / "summary.json"),
-    )
-
-
-def _read_metrics(path: Path) -> dict[str, Series]:
-    """Series by name. A step logged twice, as after a kill and a resume, counts once: the later line holds."""
-    points: dict[str, dict[int, float]] = {}
-    for record in logging.read(path):
-        for name, value in record.items():
-            if name != "step" and (value is None or isinstance(value, int | float)):
-                points.setdefault(name, {})[int(record["step"])] = number(value)
-    series = {}
-    for name, values in points.items():
-        steps = sorted(values)
-        series[name] = Series(np.asarray(steps, np.int64), np.asarray([values[step] for step in steps], np.float64))
-    return series
 
 
 def _warning_text(warning: Any) -> str:

@@ -2,18 +2,20 @@
 
 import os
 from collections.abc import Iterator, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from odaf.environments.contact_margins import ContactMargins, recorded, warn_if_other
-from odaf.environments.registry import make, simulator_in
 from odaf.errors import ConfigError
-from odaf.evaluation.rollouts import Episodes, Rollouts, rollout, summarise
+from odaf.evaluation.examination import Examined, examine
+from odaf.evaluation.rollouts import Episodes, MakeEnvironment, Rollouts, rollout, summarise
 from odaf.evaluation.scores import Scores, scores_from
 from odaf.training.policy import Policy
 from odaf.training.run_directory import RunDirectory
+from odaf.training.settings import products_in
 
 
 @dataclass(frozen=True)
@@ -38,7 +40,7 @@ class Trial:
         episodes: int,
         seed: int,
         step: int | None,
-        environment: str | None,
+        environment: str | Mapping[str, Any] | MakeEnvironment | None,
         contact_margins: ContactMargins | None = None,
     ) -> "Trial":
         """See `evaluate` for the arguments and what is raised."""
@@ -52,24 +54,35 @@ class Trial:
             )
         rollouts = Rollouts(environment, episodes=episodes, seed=seed, max_steps=settings.get("max_steps"))
         trial = cls(run, replace(rollouts, contact_margins=contact_margins).resolved(known), step)
-        warn_if_other(recorded(run.data["summary"]["provenance"]), trial.simulator)
+        warn_if_other(recorded(run.data["summary"]["provenance"]), trial.examined.simulator)
         return trial
 
     @property
     def environment(self) -> Mapping[str, Any]:
-        """The full description, for `odaf.environments.make`."""
-        assert isinstance(self.rollouts.environment, Mapping)
-        return self.rollouts.environment
+        """The full description, for `odaf.environments.make`.
+
+        Raises:
+            ConfigError: the environment is a class or function, which has none.
+        """
+        if isinstance(self.rollouts.environment, Mapping):
+            return self.rollouts.environment
+        raise ConfigError(f"environment {self.rollouts.name}: is a class or function; here only a description will do")
 
     @property
     def environment_id(self) -> str | None:
         """Gymnasium's name of the environment, if it has one."""
-        return self.environment.get("id")
+        environment = self.rollouts.environment
+        return environment.get("id") if isinstance(environment, Mapping) else None
 
     @cached_property
-    def simulator(self) -> dict[str, Any] | None:
-        """What plays the episodes, as `odaf.environments.contact_margins.simulator_of` says."""
-        return simulator_in(self.environment)
+    def examined(self) -> Examined:
+        """The environment, found to fit the run's data.
+
+        Raises:
+            ConfigError: it does not.
+        """
+        names, rollouts = self.run.data["summary"]["observation_names"], self.rollouts
+        return examine(rollouts.maker(), rollouts.name, self.run.spec, names, rollouts.rule)
 
     def policies(self) -> Iterator[tuple[int, Policy]]:
         """Every training seed with what it had learned."""
@@ -78,17 +91,21 @@ class Trial:
 
     def scores(self, played: Mapping[int, Episodes]) -> Scores:
         """Scores of every seed from the episodes that its policy played."""
-        summaries = {
-            seed: {
-                "evaluation": {
-                    "step": self.run.checkpoint(seed, self.step).step,
-                    **summarise(episodes).summary,
-                    "simulator": self.simulator,
-                }
-            }
-            for seed, episodes in played.items()
-        }
-        return scores_from(summaries, str(self.run.path), self.environment_id)
+        summaries: dict[int, dict[str, Any]] = {}
+        notes = []
+        for seed, episodes in played.items():
+            summed = summarise(episodes)
+            stated = {"step": self.run.checkpoint(seed, self.step).step, "simulator": self.examined.simulator}
+            lengths = {"lengths": episodes.lengths.tolist()}
+            flags = {name: flag.tolist() for name, flag in episodes.flags.items()}
+            summaries[seed] = {"evaluation": stated | summed.summary | {"by_episode": lengths | flags}}
+            notes += [f"seed {seed}: {sentence}" for sentence in summed.warnings.values()]
+        scores = scores_from(summaries, str(self.run.path), self.environment_id)
+        return replace(scores, notes=tuple(notes))
+
+    def precision(self) -> AbstractContextManager[object]:
+        """A context in which policies act as they did when the run evaluated them."""
+        return products_in(self.run.config.get("precision"))
 
 
 def evaluate(
@@ -97,7 +114,7 @@ def evaluate(
     episodes: int = 50,
     seed: int = 0,
     step: int | None = None,
-    environment: str | None = None,
+    environment: str | Mapping[str, Any] | MakeEnvironment | None = None,
     contact_margins: ContactMargins | None = None,
 ) -> Scores:
     """Play episodes with one checkpoint of every seed of a run; nothing in its directory changes.
@@ -107,20 +124,23 @@ def evaluate(
         episodes: episodes for each seed.
         seed: chooses the starts, the same for every seed of the run.
         step: the checkpoint after so many updates; None takes each seed's last.
-        environment: a gymnasium id; None takes the environment that the run was evaluated in, else its data set's.
+        environment: a gymnasium id (or `MODULE:ID`), a description, or a class or function without arguments that
+            builds one; None takes the environment that the run was evaluated in, else its data set's.
         contact_margins: how MuJoCo counts the margins of geoms that touch, "added" or "larger"; None is as the
             environment's description says, or else as the installed MuJoCo does.
 
     Raises:
         CheckpointError: there is no run, no such checkpoint, or a damaged one.
-        ConfigError: no environment is known, or a number is out of range.
+        ConfigError: no environment is known, policies of the run's data cannot be tried in it, or a number is out of
+            range.
     """
     trial = Trial.of(
         directory, episodes=episodes, seed=seed, step=step, environment=environment, contact_margins=contact_margins
     )
-    make_env = make(trial.environment)
-    played = {
-        policy_seed: rollout(policy, make_env, episodes, seed, trial.rollouts.max_steps)
-        for policy_seed, policy in trial.policies()
-    }
-    return trial.scores(played)
+    with trial.precision():
+        played = {
+            policy_seed: rollout(policy, trial.examined.make_env, episodes, seed, trial.rollouts.max_steps)
+            for policy_seed, policy in trial.policies()
+        }
+    scores = trial.scores(played)
+    return replace(scores, notes=(*trial.examined.warnings.values(), *scores.notes))

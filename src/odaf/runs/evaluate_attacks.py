@@ -13,7 +13,6 @@ import numpy as np
 
 from odaf.environments.contact_margins import ContactMargins
 from odaf.environments.reference_returns import reference_of
-from odaf.environments.registry import make
 from odaf.errors import ConfigError
 from odaf.evaluation.attacks import ATTACKS, AttackedPolicy, Judge, StepRule, threat_model
 from odaf.evaluation.rollouts import rollout_in
@@ -158,7 +157,7 @@ def attack_curve(
         if chosen.asks_critics and attacker is None:
             judges[policy_seed] = Judge.of(trial.run, policy_seed, trial.step)
         threat_model(policy, chosen, judges[policy_seed])
-    make_env, limit = make(trial.environment), trial.rollouts.max_steps
+    make_env, limit = trial.examined.make_env, trial.rollouts.max_steps
     environments = [make_env() for _ in range(episodes)]
     played, scores, began = 0, [], time.perf_counter()
     try:

@@ -19,6 +19,7 @@ from odaf.evaluation.rollouts import Environment, Episodes, rollout
 from odaf.evaluation.scores import Scores
 from odaf.evaluation.statistics import Estimate
 from odaf.runs.evaluate import Trial
+from odaf.training.data_search import places
 from odaf.training.run_directory import RunDirectory
 
 COUNTED_STEPS = 1000
@@ -145,12 +146,14 @@ def _disturbed(build: Any, knock: Knock, noise: float, std: np.ndarray, counted:
 
 def _known_ground(run: RunDirectory, data: str | os.PathLike[str] | None) -> tuple[KnownGround | None, str]:
     """The ground, or why there is none; a file that the caller named must do."""
-    path = run.data["path"] if data is None else data
-    if path is None:
+    looked = places(run) if data is None else [Path(data)]
+    if not looked:
         return None, "the run's data came from memory; give their file with --data"
     try:
-        if not Path(path).exists():
-            raise DatasetError(f"{path}: the run's data are not there any more; give their file with --data")
+        path = next((place for place in looked if place.exists()), None)
+        if path is None:
+            names = ", ".join(map(str, looked))
+            raise DatasetError(f"{names}: the run's data are not there any more; give their file with --data")
         dataset = Dataset.load(path)
         if dataset.fingerprint() != run.data["sha256"]:
             raise DatasetError(f"{path}: is not what the run was trained on; give the file it was, with --data")

@@ -1,89 +1,96 @@
 """Training as its user calls it: the loop joined with environments to try policies in."""
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Unpack
+
+import jax
 
 from odaf import training
 from odaf.algorithms.base import Algorithm
+from odaf.components.critics import usable_cores
 from odaf.data.dataset import Dataset
 from odaf.environments.contact_margins import recorded, warn_if_other
-from odaf.environments.registry import simulator_in
+from odaf.errors import ConfigError
 from odaf.evaluation.rollouts import Rollouts
 from odaf.evaluation.runs import Run
 from odaf.runs.side_by_side import evaluator_of, side_by_side
-from odaf.training.fit import OnDivergence
+from odaf.training.data_search import find_data
+from odaf.training.evaluator import Evaluator
+from odaf.training.fit import AsBegun, recorded_config
 from odaf.training.logging import Logger
 from odaf.training.progress import ProgressReport
 from odaf.training.run_directory import RunDirectory
+from odaf.training.settings import OnDivergence, RunSettings, SettingChanges
 
 
 def fit(
     algorithm: Algorithm,
     dataset: Dataset | str | os.PathLike[str],
     *,
-    steps: int,
     directory: str | os.PathLike[str],
-    seeds: Sequence[int] = (0,),
-    workers: int = 1,
-    evaluate: Rollouts | None = None,
-    checkpoint_every: int = 5000,
-    stretch: int = 1000,
-    on_divergence: OnDivergence = "warn",
+    settings: RunSettings | None = None,
     progress: bool | ProgressReport = True,
     preset: str | None = None,
     loggers: Sequence[Logger] = (),
     data_path: str | os.PathLike[str] | None = None,
+    **changes: Unpack[SettingChanges],
 ) -> Run:
-    """Trains `algorithm` on `dataset` once for every seed; see `odaf.training.fit.fit` for what all arguments mean.
+    """Trains `algorithm` on `dataset` once for every seed and leaves all results in `directory`.
+
+    How the run is to go is said by the fields of `odaf.RunSettings`, either by name or in one object:
+    `fit(learner, log, directory="runs/a", steps=20_000, seeds=range(4))`.
+
+    With several `workers`, seeds are trained side by side, each in a process on its share of the cores. Fresh processes
+    import the calling script again, so it must call `fit` below `if __name__ == "__main__":`. The same goes for `cores`
+    other than this process has. A seed gets the same bits alone and beside others on equally many cores.
 
     Args:
         algorithm: the learner's settings.
         dataset: logged data, or the file that holds them; from a file, `resume` needs no more than the directory.
-        steps: updates for each seed.
         directory: where the run is written; a run that is there already with the same settings is continued.
-        seeds: one policy is trained for each.
-        workers: processes that train seeds side by side, each on its share of the cores; 1 trains them one after
-            another in this process. Fresh processes import the calling script again, so it must call `fit` below
-            `if __name__ == "__main__":`. A seed gets the same bits alone and beside others on equally many cores.
-        evaluate: episodes to try policies in while they train; None tries none, for data without a simulator.
-        checkpoint_every: updates between two checkpoints.
-        stretch: updates in one compiled call.
-        on_divergence: "warn" or "stop".
+        settings: how the run is to go.
         progress: whether to show a progress bar.
-        preset: name under which the settings are known.
+        preset: name under which the learner's settings are known.
         loggers: receivers of metrics beside `metrics.jsonl`; each worker has a copy.
         data_path: the file that `dataset` was read from, if it was given as an object.
+        **changes: fields of `RunSettings` by name; they go before those in `settings`.
+
+    Raises:
+        ConfigError: a setting is out of its range, the directory holds something else, or policies cannot be tried in
+            the environment.
+        DivergenceError: training diverged and `on_divergence` is "stop", or parameters are no longer finite numbers;
+            the state is saved first.
     """
     if not isinstance(dataset, Dataset):
         data_path, dataset = dataset, Dataset.load(dataset)
-    evaluator = None
-    if evaluate is not None:
-        rollouts = evaluate.resolved(dataset.environment)
-        assert isinstance(rollouts.environment, Mapping)
-        evaluator = evaluator_of(rollouts)
-        warn_if_other(recorded(dataset.provenance), simulator_in(rollouts.environment))
+    settings = (settings or RunSettings()).with_changes(dict(changes))
+    if settings.device not in (None, jax.default_backend()):
+        raise ConfigError(
+            f"device: {settings.device} is asked for, but JAX computes on {jax.default_backend()} here; set the "
+            "environment variable JAX_PLATFORMS before Python starts, or install the JAX that knows the device"
+        )
+    apart = settings.cores is not None and settings.cores != usable_cores()
+    settings = settings.resolved(recorded_config(Path(directory)))
+    apart = apart or (settings.workers or 1) > 1
+    evaluator = _evaluator(settings, dataset)
     try:
         files = training.fit(
             algorithm,
             dataset,
-            steps=steps,
             directory=directory,
-            seeds=seeds,
-            evaluate=evaluator,
-            checkpoint_every=checkpoint_every,
-            stretch=stretch,
-            on_divergence=on_divergence,
+            settings=replace(settings, evaluate=evaluator),
             progress=progress,
             preset=preset,
             loggers=loggers,
             data_path=data_path,
-            train_seeds=side_by_side(workers, data_path),
+            train_seeds=side_by_side(settings, data_path, apart),
+            apart=apart,
         )
     finally:
-        if evaluator is not None:
-            evaluator.close()
+        _close(evaluator)
     return Run(files)
 
 
@@ -91,29 +98,39 @@ def resume(
     directory: str | os.PathLike[str],
     steps: int | None = None,
     *,
-    workers: int = 1,
+    workers: int | None = None,
     dataset: Dataset | str | os.PathLike[str] | None = None,
+    evaluate: Rollouts | Evaluator | AsBegun | None = "as begun",
     on_divergence: OnDivergence | None = None,
     progress: bool | ProgressReport = True,
     loggers: Sequence[Logger] = (),
 ) -> Run:
-    """Goes on exactly where the run in `directory` stopped, with the data and evaluation it was begun with.
+    """Goes on exactly where the run in `directory` stopped.
 
     Args:
         directory: a run's directory.
         steps: updates for each seed in all, to make a run longer.
-        workers: as in `fit`; the bits of an unbroken run need the same number.
+        workers: processes that train seeds side by side, each on as many cores as the run was begun with, so that the
+            bits stay those of an unbroken run; None and 1 go on in this process.
         dataset: needed only if the run was begun with data from memory, or their file has moved.
+        evaluate: how policies are tried from here on; None tries none any more.
         on_divergence: None keeps the run's setting.
         progress: whether to show a progress bar.
         loggers: receivers of metrics beside `metrics.jsonl`.
     """
     run = RunDirectory(Path(directory))
-    data_path = run.data["path"] if dataset is None else None if isinstance(dataset, Dataset) else dataset
-    if dataset is not None and not isinstance(dataset, Dataset):
-        dataset = Dataset.load(dataset)
-    settings: Mapping[str, Any] | None = run.config.get("evaluate")
-    evaluator = None if settings is None else evaluator_of(Rollouts.from_dict(settings))
+    run.require_current()
+    data_path = None if isinstance(dataset, Dataset) else find_data(run) if dataset is None else dataset
+    if not isinstance(dataset, Dataset):
+        assert data_path is not None
+        dataset = Dataset.load(data_path)
+    settings = replace(RunSettings.recorded(run.config), workers=workers or 1).resolved(run.config)
+    if evaluate == "as begun":
+        recorded = run.config["evaluate"]
+        evaluate = None if recorded is None else Rollouts.from_dict(recorded)
+    settings = replace(settings, evaluate=evaluate)
+    apart = (workers or 1) > 1
+    evaluator = _evaluator(settings, dataset)
     try:
         files = training.resume(
             directory,
@@ -123,14 +140,31 @@ def resume(
             on_divergence=on_divergence,
             progress=progress,
             loggers=loggers,
-            train_seeds=side_by_side(workers, data_path),
+            train_seeds=side_by_side(replace(settings, evaluate=evaluator), data_path, apart),
+            apart=apart,
         )
     finally:
-        if evaluator is not None:
-            evaluator.close()
+        _close(evaluator)
     return Run(files)
 
 
 def load_run(directory: str | os.PathLike[str]) -> Run:
     """The run in `directory`, finished or not."""
     return Run(training.load_run(directory))
+
+
+def _evaluator(settings: RunSettings, dataset: Dataset) -> Evaluator | None:
+    """What tries the policies, or None; examined, so that what cannot work fails before anything is trained."""
+    if isinstance(settings.evaluate, Rollouts):
+        rollouts = settings.evaluate.resolved(dataset.environment)
+        evaluator = evaluator_of(rollouts, dataset.spec(), dataset.observation_names)
+        warn_if_other(recorded(dataset.provenance), evaluator.simulator)
+        return evaluator
+    assert settings.evaluate is None or isinstance(settings.evaluate, Evaluator)
+    return settings.evaluate
+
+
+def _close(evaluator: Evaluator | None) -> None:
+    close = getattr(evaluator, "close", None)
+    if close is not None:
+        close()

@@ -1,26 +1,32 @@
 """The seeds of one run trained side by side, each in a process on cores of its own."""
 
+import contextlib
 import functools
 import os
 import pickle
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import jax
 
 from odaf.data.dataset import Dataset
-from odaf.environments.registry import make
+from odaf.data.spec import Spec
 from odaf.errors import ConfigError, OdafError
+from odaf.evaluation.examination import examine
 from odaf.evaluation.rollouts import RolloutEvaluator, Rollouts
-from odaf.runs.workers import cores, run_jobs, tell
+from odaf.runs.workers import cores, run_jobs, stopping, tell
 from odaf.training.combined_progress import CombinedProgress, SeedReport
-from odaf.training.fit import TrainSeeds, check_same_data, one_after_another
+from odaf.training.data_search import check_same_data
+from odaf.training.evaluator import Evaluator
+from odaf.training.fit import TrainSeeds, one_after_another
+from odaf.training.interrupts import held_back
 from odaf.training.lock import joined
 from odaf.training.logging import Logger
 from odaf.training.run_directory import RunDirectory
 from odaf.training.seeds import SeedTraining, TrainingData, compiling_stage, prepare
+from odaf.training.settings import RunSettings, products_in
 
 # Settings of JAX that change results or where compiled programs are kept; a fresh process would not know them.
 _JAX_SETTINGS = (
@@ -30,56 +36,79 @@ _JAX_SETTINGS = (
 )  # fmt: skip
 
 
-def default_workers(seeds: int) -> int:
-    """How many processes train `seeds` seeds when nobody says: one a core, or one in all beside an accelerator."""
-    return 1 if seeds == 1 or jax.default_backend() != "cpu" else min(seeds, cores())
+def default_workers(seeds: int, cores_each: int = 1) -> int:
+    """How many processes train `seeds` seeds when nobody says: as many as find cores, or one beside an accelerator."""
+    if seeds == 1 or jax.default_backend() != "cpu":
+        return 1
+    return min(seeds, max(1, cores() // cores_each))
 
 
-def evaluator_of(rollouts: Rollouts) -> RolloutEvaluator:
-    """What plays the episodes that `rollouts`, whose environment is resolved, describes."""
-    assert isinstance(rollouts.environment, Mapping)
-    return RolloutEvaluator(rollouts, make(rollouts.environment))
+def evaluator_of(rollouts: Rollouts, spec: Spec, observation_names: Sequence[str]) -> RolloutEvaluator:
+    """What plays the episodes that `rollouts`, whose environment is resolved, describes.
+
+    Raises:
+        ConfigError: policies of such data cannot be tried in that environment.
+    """
+    examined = examine(rollouts.maker(), rollouts.name, spec, observation_names, rollouts.rule)
+    return RolloutEvaluator(rollouts, examined.make_env, examined.warnings, examined.simulator)
 
 
-def side_by_side(workers: int, data_path: str | os.PathLike[str] | None) -> TrainSeeds:
-    """Trains seeds in `workers` processes; a seed gets the bits that it gets alone on as many cores as a worker has.
+def side_by_side(settings: RunSettings, data_path: str | os.PathLike[str] | None, apart: bool) -> TrainSeeds:
+    """Trains seeds in processes of their own; a seed gets the bits that it gets alone on as many cores as one has.
 
     A seed that fails lets the others go on to their end; then its error is raised.
 
     Args:
-        workers: processes at the same time; 1 trains one seed after another in this process.
+        settings: resolved; its workers train at the same time, each on its cores.
         data_path: the file that each process reads the data from; None sends them the dataset itself.
+        apart: False trains one seed after another in this process.
 
     Raises:
-        ConfigError: `workers` is less than 1, or a logger cannot be sent to another process.
+        ConfigError: a logger or evaluator cannot be sent to another process.
     """
-
-    if workers < 1:
-        raise ConfigError(f"workers: must be at least 1, got {workers}")
-    if workers == 1:
+    if not apart:
         return one_after_another
+    workers = settings.workers or 1
 
     def train(seeds: Sequence[SeedTraining], dataset: Dataset, loggers: Sequence[Logger]) -> None:
         first = seeds[0]
+        evaluator = first.evaluate
         shared = _Shared(
             path=first.run.path,
             data=dataset if data_path is None else Path(data_path),
-            on_divergence="stop" if first.stops_on_divergence else "warn",
+            evaluate=evaluator.rollouts if isinstance(evaluator, RolloutEvaluator) else evaluator,
+            settings=replace(settings, evaluate=None),
             loggers=tuple(loggers),
             jax_settings={name: jax.config.values[name] for name in _JAX_SETTINGS},
         )
-        _check_loggers(loggers)
-        combined, failures = CombinedProgress({seed.seed: seed.step for seed in seeds}, first.steps, first.progress), []
-        prepare = functools.partial(_prepare, shared)
-        jobs = [seed.seed for seed in seeds]
-        # The share of the cores follows from all seeds of the run, so that it is the same when only some are left.
+        _check_sendable("evaluate", shared.evaluate)
+        for logger in loggers:
+            _check_sendable("loggers", logger)
+        combined = CombinedProgress({seed.seed: seed.step for seed in seeds}, first.steps, first.progress)
+        failures: list[OdafError] = []
         processes = min(workers, len(first.run.seeds))
-        for seed, failure in run_jobs(_train, jobs, processes, prepare=prepare, hear=combined.hear, always_apart=True):
-            if failure is None:
-                combined.finish(seed)
-            else:
-                first.progress.message(f"seed {seed}: {failure}")
-                failures.append(failure)
+        told = functools.partial(
+            first.progress.message, "stopping; seeds save after their stretch (Ctrl-C again: stops at once)"
+        )
+        with held_back(told) as interrupt:
+            ended = run_jobs(
+                _train,
+                [seed.seed for seed in seeds],
+                processes,
+                prepare=functools.partial(_prepare, shared),
+                hear=combined.hear,
+                always_apart=True,
+                cores=settings.cores,
+                asked_to_stop=lambda: interrupt.came,
+            )
+            for seed, outcome in ended:
+                if isinstance(outcome, OdafError):
+                    first.progress.message(f"seed {seed}: {outcome}")
+                    failures.append(outcome)
+                elif outcome == "finished":
+                    combined.finish(seed)
+        if interrupt.came:
+            raise KeyboardInterrupt
         if failures:
             raise failures[0]
 
@@ -92,7 +121,8 @@ class _Shared:
 
     path: Path
     data: Dataset | Path
-    on_divergence: str
+    evaluate: Rollouts | Evaluator | None
+    settings: RunSettings
     loggers: tuple[Logger, ...]
     jax_settings: dict[str, Any]
 
@@ -111,38 +141,40 @@ def _prepare(shared: _Shared) -> None:
 @functools.cache
 def _data() -> TrainingData:
     """The data and the compiled training, which all seeds of one worker share."""
-    run = RunDirectory(_shared.path)
-    dataset = _shared.data
+    run, dataset = RunDirectory(_shared.path), _shared.data
     if isinstance(dataset, Path):
-        dataset = Dataset.load(dataset)
-        check_same_data(run, dataset)
+        place, dataset = dataset, Dataset.load(dataset)
+        check_same_data(run, dataset, place)
     return prepare(run, dataset, lambda: None)
 
 
-def _train(seed: int) -> OdafError | None:
-    """In a worker: train one seed to its end; returns what stopped it."""
-    run = RunDirectory(_shared.path)
-    settings = run.config["evaluate"]
+def _train(seed: int) -> OdafError | Literal["finished", "stopped"]:
+    """In a worker: train one seed to its end; returns how that ended."""
+    if stopping():
+        return "stopped"
+    run, given, report = RunDirectory(_shared.path), _shared.evaluate, SeedReport(seed, tell)
     try:
-        with joined(run.path):
-            evaluator = None if settings is None else evaluator_of(Rollouts.from_dict(settings))
-            try:
-                report = SeedReport(seed, tell)
-                report.start(compiling_stage(seed), 0)
-                SeedTraining(run, seed, evaluator, _shared.on_divergence, report).go(_data(), _shared.loggers)
-            finally:
-                if evaluator is not None:
-                    evaluator.close()
+        with contextlib.ExitStack() as stack:
+            stack.enter_context(joined(run.path))
+            stack.enter_context(products_in(_shared.settings.precision))
+            names = run.data["summary"]["observation_names"]
+            evaluator = evaluator_of(given, run.spec, names) if isinstance(given, Rollouts) else given
+            if isinstance(evaluator, RolloutEvaluator):
+                stack.callback(evaluator.close)
+            report.start(compiling_stage(seed), 0)
+            on_divergence = _shared.settings.on_divergence
+            SeedTraining(run, seed, evaluator, on_divergence, report, stopping).go(_data(), _shared.loggers)
     except OdafError as error:
         return error
-    return None
+    except KeyboardInterrupt:
+        return "stopped"
+    return "finished"
 
 
-def _check_loggers(loggers: Sequence[Logger]) -> None:
-    for logger in loggers:
-        try:
-            pickle.dumps(logger)
-        except Exception as error:  # pickling fails in as many ways as there are objects
-            raise ConfigError(
-                f"loggers: {type(logger).__name__} cannot be sent to another process ({error}); train with workers=1"
-            ) from None
+def _check_sendable(argument: str, value: Any) -> None:
+    try:
+        pickle.dumps(value)
+    except Exception as error:  # pickling fails in as many ways as there are objects
+        raise ConfigError(
+            f"{argument}: {type(value).__name__} cannot be sent to another process ({error}); train with workers=1"
+        ) from None

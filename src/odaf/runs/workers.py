@@ -16,8 +16,9 @@ Job = TypeVar("Job")
 # How long news of a worker may wait to be heard.
 _SECONDS_BETWEEN_NEWS = 0.2
 
-# In a worker process: where `tell` puts its news.
+# In a worker process: where `tell` puts its news, and the event that asks it to stop.
 _news: Any = None
+_stop: Any = None
 
 
 def run_jobs(
@@ -30,6 +31,8 @@ def run_jobs(
     always_apart: bool = False,
     then: Callable[[Job, Any], Iterable[Job]] | None = None,
     until: float | None = None,
+    cores: int | None = None,
+    asked_to_stop: Callable[[], bool] = lambda: False,
 ) -> Iterator[tuple[Job, Any]]:
     """Call `function` on every job and yield (job, result) as they finish.
 
@@ -43,15 +46,19 @@ def run_jobs(
         workers: processes at the same time.
         prepare: picklable; called once in each process before its first job.
         hear: called in this process with whatever jobs `tell`, in the order told by each.
-        always_apart: with several workers, a single job runs in a worker too, on the cores it would have beside others.
+        always_apart: a single job, or a single worker, runs in a process of its own too.
         then: called in this process with each finished job and its result; the jobs that it returns are done as well.
         until: a time of `time.monotonic` when jobs that still run are stopped; neither they nor those that wait have a
             result. Only a process can be stopped, so a single worker is one of its own then.
+        cores: cores that an array library in a worker is to count on, whether there are so many or not; None gives each
+            worker its share of those there are.
+        asked_to_stop: once it says so, jobs that have not started are dropped, those that have hear of it by
+            `stopping`, and the last result comes when they are done.
 
     Raises:
         Whatever a job raises; jobs that have not started are then dropped, and those that have are waited for.
     """
-    apart = workers > 1 and (always_apart or then is not None or len(jobs) > 1)
+    apart = always_apart or (workers > 1 and (then is not None or len(jobs) > 1))
     if not apart and until is None:
         yield from _one_by_one(function, jobs, prepare, hear, then)
         return
@@ -61,7 +68,8 @@ def run_jobs(
     for number in range(workers):
         numbers.put(number)
     leave, stay = context.Pipe(duplex=False)
-    begin = (leave, numbers, workers, news, pickle.dumps(prepare))
+    stop = context.Event()
+    begin = (leave, numbers, workers, cores, news, stop, pickle.dumps(prepare))
     with leave, stay, ProcessPoolExecutor(workers, mp_context=context, initializer=_begin, initargs=begin) as pool:
         waiting = {pool.submit(function, job): job for job in jobs}
         try:
@@ -69,9 +77,16 @@ def run_jobs(
                 done, _ = wait(waiting, timeout=_SECONDS_BETWEEN_NEWS, return_when=FIRST_COMPLETED)
                 while not news.empty():
                     _hear(news.get(), hear)
+                if not stop.is_set() and asked_to_stop():
+                    stop.set()
+                    for future in waiting:
+                        future.cancel()
                 for future in done:
-                    job, result = waiting.pop(future), future.result()
-                    for further in () if then is None else then(job, result):
+                    job = waiting.pop(future)
+                    if future.cancelled():
+                        continue
+                    result = future.result()
+                    for further in () if then is None or stop.is_set() else then(job, result):
                         waiting[pool.submit(function, further)] = further
                     yield job, result
                 if until is not None and time.monotonic() >= until:
@@ -91,6 +106,11 @@ def tell(news: Any) -> None:
     """From inside a job: hand something picklable and small to the `hear` of whoever runs the jobs."""
     if _news is not None:
         _news.put(news)
+
+
+def stopping() -> bool:
+    """From inside a job: whether whoever runs the jobs wants them to come to an end."""
+    return _stop is not None and _stop.is_set()
 
 
 def cores() -> int:
@@ -129,13 +149,13 @@ def _hear(news: Any, hear: Callable[[Any], object] | None) -> None:
         hear(news)
 
 
-def _begin(leave: Any, numbers: Any, workers: int, news: Any, pickled: bytes) -> None:
-    global _news
+def _begin(leave: Any, numbers: Any, workers: int, cores: int | None, news: Any, stop: Any, pickled: bytes) -> None:
+    global _news, _stop
     # Ctrl-C on a terminal reaches every process; the parent alone decides what it means.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    _bind(numbers, workers)
+    _bind(numbers, workers, cores)
     threading.Thread(target=_leave_with_parent, args=(leave,), daemon=True).start()
-    _news = news
+    _news, _stop = news, stop
     prepare = pickle.loads(pickled)  # our parent's own; what it imports starts its threads on our cores
     if prepare is not None:
         prepare()
@@ -149,11 +169,16 @@ def _leave_with_parent(leave: Any) -> None:
         os._exit(1)
 
 
-def _bind(numbers: Any, workers: int) -> None:
-    """Give this process its share of the cores; where the system cannot bind processes, leave it unbound."""
+def _bind(numbers: Any, workers: int, cores: int | None) -> None:
+    """Give this process its share of the cores, before an array library counts them.
+
+    Where the system cannot bind processes, or has fewer cores than are wanted, the library is told their number alone.
+    """
+    if cores is not None:
+        os.environ["NPROC"] = str(cores)
     if not hasattr(os, "sched_setaffinity"):
         return
     available = sorted(os.sched_getaffinity(0))
-    share = max(1, len(available) // workers)
-    first = numbers.get() * share % len(available)
-    os.sched_setaffinity(0, available[first : first + share])
+    share = min(cores or max(1, len(available) // workers), len(available))
+    first = numbers.get() * share
+    os.sched_setaffinity(0, {available[(first + place) % len(available)] for place in range(share)})

@@ -154,7 +154,9 @@ class Training(Work):
             "status": summary["status"],
             "data": {"origin": LOCAL, "sha256": run.data["sha256"], **self.task.log.figures(run)},
             "final": None if summary["status"] == "diverged" else self._final(run, summary["evaluation"]),
-            "evaluations": [_evaluation(line) for line in run.metrics(self.seed) if "evaluation/return_mean" in line],
+            "evaluations": [
+                _evaluation(line) for line in run.files.metrics(self.seed) if "evaluation/return_mean" in line
+            ],
             "updates_per_second": summary["updates_per_second"],
             "seconds": summary["seconds"],
             "pretrain": summary["pretrain"],

@@ -22,6 +22,7 @@ import jax.tree_util as jtu
 from odaf.data.writing import TEMPORARY_PREFIX, sync_directory, sync_file
 from odaf.errors import CheckpointError
 from odaf.training.files import read_json, write_json
+from odaf.training.settings import KeepCheckpoints
 
 FORMAT = "odaf-checkpoint"
 VERSION = 1
@@ -124,6 +125,40 @@ def save(directory: Path, step: int, state: Any, record: dict[str, Any]) -> Chec
         shutil.rmtree(temporary, ignore_errors=True)
     sync_directory(directory)
     return Checkpoint(final, step)
+
+
+def rewrite_record(checkpoint: Checkpoint, record: dict[str, Any]) -> None:
+    """Replaces what `save` was given as `record`, atomically; the state stays as it is."""
+    write_json(checkpoint.path / "header.json", {**checkpoint.header(), **record})
+
+
+def prune(directory: Path, keep: KeepCheckpoints, every: int) -> None:
+    """Removes the checkpoints below `directory` that a run need not keep.
+
+    Which stay does not depend on how often this was called before. A kill at any moment leaves whole checkpoints, and
+    folders that `listed` does not count.
+
+    Args:
+        directory: a seed's checkpoints.
+        keep: see `RunSettings.keep_checkpoints`.
+        every: updates between two regular checkpoints.
+    """
+    if keep == "all":
+        return
+    last, one_in = keep
+    for checkpoint in listed(directory)[:-last]:
+        if one_in == 0 or checkpoint.step % (one_in * every):
+            going = directory / f"{TEMPORARY_PREFIX}{os.getpid()}-removed-{checkpoint.path.name}"
+            os.replace(checkpoint.path, going)
+            shutil.rmtree(going)
+
+
+def rule(keep: Any) -> str:
+    """What `prune` keeps, in words."""
+    if keep == "all":
+        return "every checkpoint"
+    last, one_in = keep
+    return f"the last {last}" + (f" and one in {one_in} of the others" if one_in else "")
 
 
 def listed(directory: Path) -> list[Checkpoint]:

@@ -1,6 +1,6 @@
 """What the training loop asks of whoever measures its policies; the loop itself knows no environments."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
@@ -15,11 +15,13 @@ class Evaluation:
         metrics: numbers for the line in `metrics.jsonl`, named `evaluation/...`.
         summary: JSON-able record for `summary.json`, without the step.
         headline: one number for the progress bar.
+        warnings: what the user must know about it, a sentence a kind; a run says each kind once.
     """
 
     metrics: dict[str, float | int]
     summary: dict[str, Any]
     headline: float
+    warnings: dict[str, str] = field(default_factory=dict)
 
 
 @runtime_checkable
@@ -30,7 +32,10 @@ class Evaluator(Protocol):
     because a resumed run repeats evaluations that came after its checkpoint.
     """
 
-    every: int  # updates between two evaluations; the last step is always evaluated
+    @property
+    def every(self) -> int:
+        """Updates between two evaluations; the last update is always followed by one."""
+        ...
 
     def __call__(self, policy: Policy, directory: Path, step: int) -> Evaluation:
         """Evaluates `policy`, trained for `step` updates; may write its details below `directory`."""

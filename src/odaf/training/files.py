@@ -25,6 +25,20 @@ def write_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
     write_atomically(path, write)
 
 
+def read_arrays(path: Path, remedy: str) -> dict[str, np.ndarray]:
+    """All arrays of an .npz file; pickled objects are refused.
+
+    Raises:
+        CheckpointError: the file is damaged or holds anything but plain arrays; the message ends with `remedy`.
+    """
+    try:
+        # Opened here, because numpy leaves the file open when the archive is damaged.
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+            return {name: archive[name] for name in archive.files}
+    except Exception as error:  # numpy and zipfile raise half a dozen unrelated types for damaged archives
+        raise CheckpointError(f"{path}: cannot be read as plain arrays ({error}). {remedy}") from error
+
+
 def write_json(path: Path, content: Mapping[str, Any]) -> None:
     """Writes `content` as indented JSON, atomically. Numbers that are not finite become null."""
     text = json.dumps(finite(content), indent=2, allow_nan=False) + "\n"

@@ -2,26 +2,31 @@
 
 import os
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal, Unpack
 
 from odaf.algorithms.base import Algorithm
-from odaf.algorithms.config import to_dict
+from odaf.components.critics import usable_cores
 from odaf.data.dataset import Dataset
 from odaf.data.normalisation import Normaliser
-from odaf.errors import ConfigError, DatasetError
-from odaf.training import run_directory
+from odaf.errors import ConfigError
+from odaf.training import checkpoints, run_writing
+from odaf.training.data_search import check_same_data, find_data
 from odaf.training.evaluator import Evaluator
 from odaf.training.files import plain, read_json, write_json
 from odaf.training.lock import locked
 from odaf.training.logging import Logger
+from odaf.training.process_record import process_record, why_bits_differ
 from odaf.training.progress import ProgressReport, default_progress
 from odaf.training.run_directory import RunDirectory
 from odaf.training.seeds import SeedTraining, compiling_stage, prepare
+from odaf.training.settings import OnDivergence, RunSettings, SettingChanges, products_in
 
-OnDivergence = Literal["warn", "stop"]
 # Brings the unfinished seeds of a run to their last step.
 TrainSeeds = Callable[[Sequence[SeedTraining], Dataset, Sequence[Logger]], None]
+# For `resume`: the evaluation stays what it was.
+AsBegun = Literal["as begun"]
 
 
 def one_after_another(seeds: Sequence[SeedTraining], dataset: Dataset, loggers: Sequence[Logger]) -> None:
@@ -36,18 +41,15 @@ def fit(
     algorithm: Algorithm,
     dataset: Dataset,
     *,
-    steps: int,
     directory: str | os.PathLike[str],
-    seeds: Sequence[int] = (0,),
-    evaluate: Evaluator | None = None,
-    checkpoint_every: int = 5000,
-    stretch: int = 1000,
-    on_divergence: OnDivergence = "warn",
+    settings: RunSettings | None = None,
     progress: bool | ProgressReport = True,
     preset: str | None = None,
     loggers: Sequence[Logger] = (),
     data_path: str | os.PathLike[str] | None = None,
     train_seeds: TrainSeeds = one_after_another,
+    apart: bool = False,
+    **changes: Unpack[SettingChanges],
 ) -> RunDirectory:
     """Trains `algorithm` on `dataset` once for every seed and leaves all results in `directory`.
 
@@ -57,47 +59,36 @@ def fit(
     Args:
         algorithm: the learner's settings.
         dataset: the logged data. If they are mixed per batch, so is each batch of the training.
-        steps: updates for each seed.
         directory: where the run is written; must be empty, absent, or hold this very run.
-        seeds: distinct non-negative integers.
-        evaluate: measures the policy every `evaluate.every` updates and after the last; None measures nothing.
-        checkpoint_every: updates between two checkpoints; there is always one before the first update and one after the
-            last.
-        stretch: updates in one compiled call, and between two lines of metrics.
-        on_divergence: "warn" notes that values leave the range that rewards allow; "stop" also ends training there.
-            Training always ends when parameters are no longer finite numbers.
+        settings: how the run is to go; its `evaluate` must be an `Evaluator`.
         progress: whether to show a progress bar, or an own report.
-        preset: name under which the settings are known, for the record.
+        preset: name under which the learner's settings are known, for the record.
         loggers: receivers of metrics beside `metrics.jsonl`.
         data_path: the file that `dataset` was read from, kept for `resume`.
         train_seeds: how several seeds share the machine; by default each is trained to its end before the next begins.
+        apart: whether `train_seeds` trains in other processes, on as many cores as the settings say.
+        **changes: fields of `RunSettings` by name; they go before those in `settings`.
 
     Raises:
         ConfigError: a setting is out of its range, or the directory holds something else.
+        CheckpointError: the directory holds a run of another version of odaf.
         DivergenceError: training diverged and `on_divergence` is "stop", or parameters are no longer finite numbers;
             the state is saved first.
     """
-    _check_settings(steps, seeds, checkpoint_every, stretch, on_divergence, evaluate)
-    config = {
-        "format": run_directory.FORMAT,
-        "version": run_directory.VERSION,
-        "preset": preset,
-        "algorithm": to_dict(algorithm),
-        "steps": int(steps),
-        "seeds": [int(seed) for seed in seeds],
-        "evaluate": None if evaluate is None else evaluate.to_dict(),
-        "checkpoint_every": int(checkpoint_every),
-        "stretch": int(stretch),
-        "on_divergence": on_divergence,
-    }
-    normaliser = Normaliser.fit(dataset.observations, algorithm.view().normaliser_epsilon)
-    data = run_directory.data_record(dataset, normaliser, data_path)
     path = Path(directory)
-    run_directory.refuse_foreign(path)
+    settings = (settings or RunSettings()).with_changes(dict(changes)).resolved(recorded_config(path))
+    evaluate = _evaluator(settings)
+    normaliser = Normaliser.fit(dataset.observations, algorithm.view().normaliser_epsilon)
+    data = run_writing.data_record(dataset, normaliser, data_path, path)
+    config = run_writing.config_record(algorithm, settings, preset)
+    run_writing.refuse_foreign(path)
     path.mkdir(parents=True, exist_ok=True)
+    report = default_progress(progress)
     with locked(path):
-        run = run_directory.begin(path, plain(config), plain(data), dataset)
-        _train(run, dataset, evaluate, on_divergence, default_progress(progress), loggers, train_seeds)
+        new = not (path / "config.json").exists()
+        process = process_record(_cores(settings, apart), settings.precision or "default")
+        run = run_writing.begin(path, config, plain(data), process, dataset)
+        _train(run, dataset, settings, evaluate, report, loggers, train_seeds, None if new else process)
     return run
 
 
@@ -106,64 +97,69 @@ def resume(
     steps: int | None = None,
     *,
     dataset: Dataset | None = None,
-    evaluate: Evaluator | None = None,
+    evaluate: Evaluator | AsBegun | None = "as begun",
     on_divergence: OnDivergence | None = None,
     progress: bool | ProgressReport = True,
     loggers: Sequence[Logger] = (),
     train_seeds: TrainSeeds = one_after_another,
+    apart: bool = False,
 ) -> RunDirectory:
     """Goes on exactly where the run in `directory` stopped; the result has the bits of a run that never stopped.
 
     Args:
         directory: a run's directory.
         steps: updates for each seed in all, to make a run longer; None keeps the number it was begun with.
-        dataset: the data it was begun with; None reads them from the path that the run remembers.
-        evaluate: as in `fit`; must have the settings that the run was begun with.
+        dataset: the data it was begun with; None looks for them where the run remembers them, and beside it.
+        evaluate: what tries the policies from here on; None tries none any more. Other settings than those the run has
+            had are written into it.
         on_divergence: None keeps the run's setting. A warning that stopped the run once does not stop it again.
         progress: as in `fit`.
         loggers: as in `fit`.
         train_seeds: as in `fit`.
+        apart: as in `fit`.
 
     Raises:
-        CheckpointError: the directory holds no run, or a damaged one.
-        ConfigError: `steps` is less than the run has, or the evaluator differs.
-        DatasetError: the data are not those the run was begun with.
+        CheckpointError: the directory holds no run, a damaged one, or one of another version of odaf.
+        ConfigError: `steps` is less than the run has, or its evaluation is not given.
+        DatasetError: the data are not found, or are not those the run was begun with.
     """
     run = RunDirectory(Path(directory))
+    run.require_current()
     config = run.config
+    place = None
     if dataset is None:
-        if run.data["path"] is None:
+        place = find_data(run)
+        dataset = Dataset.load(place)
+    check_same_data(run, dataset, place)
+    if evaluate == "as begun":
+        if config["evaluate"] is not None:
             raise ConfigError(
-                f"{run.path}: its data came from memory, not from a file; give them again as `dataset`, "
-                "or save them with Dataset.save and train from the file"
+                f"{run.path}: evaluate: the run was begun with {config['evaluate']!r}; give an evaluator with these "
+                "settings, another one, or None to go on without"
             )
-        dataset = Dataset.load(run.data["path"])
-    check_same_data(run, dataset)
-    if plain(None if evaluate is None else evaluate.to_dict()) != config["evaluate"]:
-        raise ConfigError(
-            f"{run.path}: evaluate: the run was begun with {config['evaluate']!r}; "
-            "give an evaluator with these settings"
-        )
+        evaluate = None
     if steps is not None and steps < config["steps"]:
         raise ConfigError(
             f"{run.path}: steps: {steps} asked, but the run is made for {config['steps']} and cannot be shortened; "
             "use an earlier checkpoint instead"
         )
+    changed: dict[str, Any] = {"evaluate": None if evaluate is None else plain(evaluate.to_dict())}
+    if steps is not None:
+        changed["steps"] = int(steps)
+    settings = replace(RunSettings.recorded({**config, **changed}), evaluate=evaluate)
+    settings = replace(settings, on_divergence=on_divergence or settings.on_divergence)
+    report = default_progress(progress)
     with locked(run.path):
-        if steps is not None and steps > config["steps"]:
-            write_json(run.path / "config.json", {**config, "steps": int(steps)})
+        others = {name: value for name, value in changed.items() if value != config[name]}
+        if others:
+            write_json(run.path / "config.json", {**config, **others})
             run = RunDirectory(run.path)
-        chosen = on_divergence or config["on_divergence"]
-        _check_settings(run.config["steps"], run.seeds, config["checkpoint_every"], config["stretch"], chosen, evaluate)
-        record = run.path / "environment.json"
-        environment = read_json(record, "It is needed only for the record: put {} into it to go on.")
-        now, report = run_directory.process_record(), default_progress(progress)
-        resumed = environment.get("resumed", [])
-        changes = run_directory.changes([environment, *resumed][-1], now)
-        if changes:
-            report.message(f"{run.path}: {changes}; the run goes on, but not with the bits of an unbroken one")
-        write_json(record, {**environment, "resumed": [*resumed, now]})
-        _train(run, dataset, evaluate, chosen, report, loggers, train_seeds)
+        if others.get("evaluate") is not None:
+            _evaluate_ends_again(run)
+        process = process_record(_cores(settings, apart), settings.precision or "default")
+        if others:
+            process["changed"] = {name: {"from": config[name], "to": value} for name, value in others.items()}
+        _train(run, dataset, settings, evaluate, report, loggers, train_seeds, process)
     return run
 
 
@@ -178,59 +174,68 @@ def load_run(directory: str | os.PathLike[str]) -> RunDirectory:
     return run
 
 
+def recorded_config(path: Path) -> dict[str, Any] | None:
+    """`config.json` of the run in `path`; None where there is none yet."""
+    return RunDirectory(path).config if (path / "config.json").exists() else None
+
+
+def _evaluator(settings: RunSettings) -> Evaluator | None:
+    if settings.evaluate is None or isinstance(settings.evaluate, Evaluator):
+        return settings.evaluate
+    raise ConfigError(
+        f"evaluate: {type(settings.evaluate).__name__} only describes an evaluation; odaf.fit plays it, and "
+        "odaf.training.fit needs something to call with (policy, directory, step)"
+    )
+
+
+def _cores(settings: RunSettings, apart: bool) -> int:
+    """Cores that the training will really be laid out for."""
+    return settings.cores if apart and settings.cores is not None else usable_cores()
+
+
+def _note_process(run: RunDirectory, process: dict[str, Any], report: ProgressReport) -> None:
+    """Adds this process to the run's record, and says beforehand if it cannot give the same bits."""
+    path = run.path / "environment.json"
+    environment = read_json(path, "It is needed only for the record: put {} into it to go on.")
+    resumed = environment.get("resumed", [])
+    reasons = why_bits_differ([environment, *resumed][-1], process)
+    if reasons:
+        report.message(f"{run.path}: {reasons}; the run goes on, but not with the bits of an unbroken one")
+    write_json(path, {**environment, "resumed": [*resumed, process]})
+
+
+def _evaluate_ends_again(run: RunDirectory) -> None:
+    """Marks seeds that are at their end as not evaluated, because their score would be one of other settings."""
+    for seed in run.seeds:
+        for checkpoint in run.checkpoints(seed)[-1:]:
+            summary = checkpoint.header()["summary"]
+            if checkpoint.step >= run.config["steps"] and summary["status"] == "finished":
+                summary |= {"evaluation_due": True, "status": "running"}
+                checkpoints.rewrite_record(checkpoint, {"summary": summary})
+
+
 def _train(
     run: RunDirectory,
     dataset: Dataset,
+    settings: RunSettings,
     evaluate: Evaluator | None,
-    on_divergence: str,
     progress: ProgressReport,
     loggers: Sequence[Logger],
     train_seeds: TrainSeeds,
+    resuming: dict[str, Any] | None,
 ) -> None:
-    run_directory.remove_unfinished(run.path, recursive=False)
-    seeds = [SeedTraining(run, seed, evaluate, on_divergence, progress) for seed in run.seeds]
+    """Trains what is unfinished; `resuming` is the record of this process if an earlier one began the run."""
+    run_writing.remove_unfinished(run.path, recursive=False)
+    seeds = [SeedTraining(run, seed, evaluate, settings.on_divergence, progress) for seed in run.seeds]
     for seed in seeds:
         if seed.is_finished():
-            seed.write_summary()
+            seed.tidy_up()
     unfinished = [seed for seed in seeds if not seed.is_finished()]
     try:
         if unfinished:
-            train_seeds(unfinished, dataset, loggers)
+            if resuming is not None:
+                _note_process(run, resuming, progress)
+            with products_in(settings.precision):
+                train_seeds(unfinished, dataset, loggers)
     finally:
         progress.close()
-
-
-def _check_settings(
-    steps: int,
-    seeds: Sequence[int],
-    checkpoint_every: int,
-    stretch: int,
-    on_divergence: str,
-    evaluate: Evaluator | None,
-) -> None:
-    counts = {"steps": steps, "checkpoint_every": checkpoint_every, "stretch": stretch}
-    if evaluate is not None:
-        counts["evaluate.every"] = evaluate.every
-    for name, value in counts.items():
-        if value < 1:
-            raise ConfigError(f"{name}: must be at least 1, got {value}")
-    if steps >= 2**31:
-        raise ConfigError(f"steps: must be below 2^31, got {steps}")
-    if not seeds or len(set(seeds)) < len(seeds) or any(not 0 <= seed < 2**32 for seed in seeds):
-        raise ConfigError(f"seeds: must be distinct integers from 0 to 2^32 - 1, at least one, got {list(seeds)}")
-    if on_divergence not in ("warn", "stop"):
-        raise ConfigError(f"on_divergence: must be 'warn' or 'stop', got {on_divergence!r}")
-
-
-def check_same_data(run: RunDirectory, dataset: Dataset) -> None:
-    """Makes sure that `dataset` is what the run was begun with.
-
-    Raises:
-        DatasetError: it is not.
-    """
-    found, expected = dataset.fingerprint(), run.data["sha256"]
-    if found != expected:
-        raise DatasetError(
-            f"{run.data['path'] or 'dataset'}: its fingerprint is {found[:12]}..., but {run.path} was begun with data "
-            f"of fingerprint {expected[:12]}...; give the same data, or train into another directory"
-        )

@@ -1,10 +1,14 @@
 """Where metrics go while a run trains: one small protocol, and JSON lines as its default."""
 
 import json
+import math
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
 
 from odaf.data.writing import sync_file, write_atomically
 from odaf.errors import CheckpointError
@@ -29,14 +33,18 @@ class Logger(Protocol):
 
 
 class JsonLines:
-    """Appends every record to `metrics.jsonl` in the seed's directory; numbers that are not finite become null."""
+    """Appends every record to `metrics.jsonl` in the seed's directory; numbers that are not finite become null.
 
-    def __init__(self):
-        self._file = None
+    Args:
+        evaluated: whether the evaluation after the step that training goes on from counts; if not, it will be repeated.
+    """
+
+    def __init__(self, evaluated: bool = True):
+        self._file, self._evaluated = None, evaluated
 
     def open(self, directory: Path, step: int) -> None:
         path = directory / "metrics.jsonl"
-        truncate(path, step)
+        truncate(path, step, self._evaluated)
         self._file = path.open("ab")
 
     def log(self, step: int, metrics: Mapping[str, float | int]) -> None:
@@ -65,13 +73,48 @@ def read(path: Path) -> list[dict[str, Any]]:
     return [record for _, record in _records(path)]
 
 
-def truncate(path: Path, step: int) -> None:
-    """Removes a torn last line and every record later than `step`. Touches nothing when there are none."""
+def truncate(path: Path, step: int, evaluated: bool = True) -> None:
+    """Removes a torn last line and every record later than `step`. Touches nothing when there are none.
+
+    Args:
+        path: the file.
+        step: the last that counts.
+        evaluated: False removes the evaluation after that very step, too.
+    """
     if not path.exists():
         return
-    kept = b"".join(line for line, record in _records(path) if record["step"] <= step)
+
+    def counts(record: Mapping[str, Any]) -> bool:
+        if record["step"] == step and not evaluated:
+            return not any(name.startswith("evaluation/") for name in record)
+        return record["step"] <= step
+
+    kept = b"".join(line for line, record in _records(path) if counts(record))
     if len(kept) != os.path.getsize(path):
         write_atomically(path, lambda file: file.write(kept))
+
+
+@dataclass(frozen=True)
+class Series:
+    """One logged quantity of one seed: `values[i]` was measured after `steps[i]` updates; both have shape [points]."""
+
+    steps: np.ndarray
+    values: np.ndarray
+
+
+def series(records: Sequence[Mapping[str, Any]]) -> dict[str, Series]:
+    """Quantities by name, NaN where a value is no number. Of two records of one step the later holds."""
+    points: dict[str, dict[int, float]] = {}
+    for record in records:
+        for name, value in record.items():
+            if name != "step" and (value is None or isinstance(value, int | float)):
+                number = math.nan if value is None or isinstance(value, bool) else float(value)
+                points.setdefault(name, {})[int(record["step"])] = number
+    found = {}
+    for name, values in points.items():
+        steps = sorted(values)
+        found[name] = Series(np.asarray(steps, np.int64), np.asarray([values[step] for step in steps], np.float64))
+    return found
 
 
 def _records(path: Path) -> list[tuple[bytes, dict[str, Any]]]:

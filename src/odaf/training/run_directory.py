@@ -1,4 +1,4 @@
-"""What a run leaves on the disk, and reading it back: everything needed to explain, use, repeat or continue it.
+"""Reading what a run leaves on the disk: everything needed to explain, use, repeat or continue it.
 
     config.json        every resolved setting
     environment.json   versions, device and command of the process that began it, and of each that resumed it
@@ -6,48 +6,37 @@
     data_sample.npz    returns of all logged episodes and some episodes themselves, for pictures
     seed-S/            metrics.jsonl, checkpoints/STEP/, evaluations/STEP.npz, summary.json
 
-Paths inside the files stand as the user gave them.
+Paths inside the files stand as the user gave them. This is the only reader of these files; `run_writing` writes them.
 """
 
-import contextlib
-import datetime
 import functools
-import importlib.metadata
-import os
-import platform
-import shutil
-import sys
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.random as jr
 import numpy as np
 
 from odaf.algorithms.base import Algorithm
 from odaf.algorithms.config import from_dict
-from odaf.data.dataset import Dataset
 from odaf.data.normalisation import Normaliser
 from odaf.data.spec import Spec
-from odaf.data.writing import TEMPORARY_PREFIX
 from odaf.errors import CheckpointError, ConfigError
-from odaf.training import checkpoints, lock, logging
+from odaf.training import checkpoints, logging
 from odaf.training.checkpoints import Checkpoint
-from odaf.training.files import read_json, write_arrays, write_json
+from odaf.training.files import read_arrays, read_json
+from odaf.training.logging import Series
 from odaf.training.policy import Policy
 
 FORMAT = "odaf-run"
-VERSION = 1
+# 2: the state of the ensemble learner is laid out anew; settings of the whole run. Reports and scores of 1 still work.
+VERSION = 2
+_READABLE = (1, 2)
 
-# Written in this order; the config comes last, so a directory that has one is complete.
-_FILES = ("environment.json", "data_sample.npz", "data.json", "config.json")
-_PACKAGES = (
-    "odaf", "jax", "jaxlib", "equinox", "optax", "numpy", "scipy", "h5py", "gymnasium", "gymnasium-robotics", "mujoco"
-)  # fmt: skip
-_SAMPLED_EPISODES = 100
 _NO_RUN = "Give the directory that `odaf train --out` or `odaf.fit(directory=...)` wrote."
+_DAMAGED = "Restore the file, or train again."
 
 
 @dataclass(frozen=True)
@@ -65,24 +54,59 @@ class RunDirectory:
         """
         path = self.path / "config.json"
         config = read_json(path, _NO_RUN)
-        if config.get("format") != FORMAT or config.get("version") != VERSION:
+        if config.get("format") != FORMAT:
             raise CheckpointError(
-                f"{path}: format, version: expected {FORMAT!r}, {VERSION}, found {config.get('format')!r}, "
-                f"{config.get('version')!r}. {_NO_RUN}"
+                f"{path}: field 'format' is {config.get('format')!r}, expected {FORMAT!r}; this directory was not "
+                f"written by `odaf train`. {_NO_RUN}"
+            )
+        if config.get("version") not in _READABLE:
+            raise CheckpointError(
+                f"{path}: field 'version' is {config.get('version')!r}, this odaf reads versions up to {VERSION}; use "
+                "the version of odaf that made the run"
             )
         for field in ("algorithm", "steps", "seeds", "checkpoint_every", "stretch"):
             if field not in config:
                 raise CheckpointError(f"{path}: {field}: is missing, so the file was changed. {_NO_RUN}")
         return config
 
+    def require_current(self) -> None:
+        """Makes sure that this odaf understands the learner's state in the run's checkpoints.
+
+        Raises:
+            CheckpointError: an older one wrote it; the message names that version.
+        """
+        if self.config["version"] == VERSION:
+            return
+        writer = self.machine.get("versions", {}).get("odaf", "0.1.0")
+        raise CheckpointError(
+            f"{self.path}: was written by odaf {writer}, whose learners keep their state in another form; go on with "
+            f"that version (pip install odaf=={writer}), or train again. Its report and its scores can still be made"
+        )
+
     @functools.cached_property
     def data(self) -> dict[str, Any]:
         """`data.json`."""
         return read_json(self.path / "data.json", _NO_RUN)
 
+    @property
+    def machine(self) -> dict[str, Any]:
+        """`environment.json`; empty where it is absent."""
+        return self._json_if_there("environment.json")
+
+    @property
+    def sample(self) -> dict[str, np.ndarray]:
+        """Arrays of `data_sample.npz`; empty where it is absent.
+
+        Raises:
+            CheckpointError: the file is damaged or holds anything but plain arrays.
+        """
+        path = self.path / "data_sample.npz"
+        return read_arrays(path, _DAMAGED) if path.exists() else {}
+
     @functools.cached_property
     def algorithm(self) -> Algorithm:
         """The learner, rebuilt from its resolved settings."""
+        self.require_current()
         try:
             return from_dict(self.config["algorithm"])
         except ConfigError as error:
@@ -103,6 +127,14 @@ class RunDirectory:
         """The seeds that were asked for, whether or not their training has begun."""
         return tuple(self.config["seeds"])
 
+    @property
+    def evaluation_environment(self) -> Mapping[str, Any] | None:
+        """Description of where policies were evaluated, or else of where the data were recorded, if either is known."""
+        settings = self.config.get("evaluate")
+        own = settings.get("environment") if isinstance(settings, Mapping) else None
+        found = own if isinstance(own, Mapping) else self._json_if_there("data.json").get("environment")
+        return found if isinstance(found, Mapping) else None
+
     def seed_directory(self, seed: int) -> Path:
         """Where one seed's files lie.
 
@@ -121,21 +153,28 @@ class RunDirectory:
         """The seed's checkpoint after `step` updates, or its last.
 
         Raises:
-            CheckpointError: there is none; the message lists those there are.
+            CheckpointError: there is none; the message lists those there are, and says if it was not kept.
         """
         found = self.checkpoints(seed)
         chosen = found[-1:] if step is None else [checkpoint for checkpoint in found if checkpoint.step == step]
-        if not chosen:
-            steps = ", ".join(str(checkpoint.step) for checkpoint in found) or "none"
-            wanted = "no checkpoint" if step is None else f"no checkpoint of step {step}"
-            raise CheckpointError(
-                f"{self.seed_directory(seed) / 'checkpoints'}: {wanted}; there are: {steps}. "
-                "Choose one of these, or go on training with `odaf resume`."
+        if chosen:
+            return chosen[0]
+        steps = ", ".join(str(checkpoint.step) for checkpoint in found) or "none"
+        wanted = "no checkpoint" if step is None else f"no checkpoint of step {step}"
+        keep = self.config.get("keep_checkpoints", "all")
+        if step is not None and found and 0 <= step < found[-1].step and keep != "all":
+            wanted += (
+                f" (of older checkpoints this run keeps {checkpoints.rule(keep)}; "
+                "--keep-checkpoints all keeps every one)"
             )
-        return chosen[0]
+        raise CheckpointError(
+            f"{self.seed_directory(seed) / 'checkpoints'}: {wanted}; there are: {steps}. "
+            "Choose one of these, or go on training with `odaf resume`."
+        )
 
     def state(self, seed: int, step: int | None = None) -> Any:
         """The learner's complete state after `step` updates, or the last one saved."""
+        self.require_current()
         return self.checkpoint(seed, step).load(blank_state(self.algorithm, self.spec), identity={"seed": seed})
 
     def policy(self, seed: int, step: int | None = None) -> Policy:
@@ -170,16 +209,43 @@ class RunDirectory:
         """The lines of the seed's `metrics.jsonl`; one torn by a kill is left out."""
         return logging.read(self.seed_directory(seed) / "metrics.jsonl")
 
+    def series(self, seed: int) -> dict[str, Series]:
+        """The seed's logged quantities by name."""
+        return logging.series(self.metrics(seed))
+
     def summary(self, seed: int) -> dict[str, Any]:
         """The seed's state of affairs at its last checkpoint; `status` is one of "not started", "running" (which
-        includes runs that were cut off), "diverged" and "finished"."""
+        includes runs that were cut off), "diverged" and "finished".
+
+        Where checkpoints were removed, `summary.json` still tells."""
         found = self.checkpoints(seed)
-        if not found:
-            return {"seed": seed, "step": 0, "status": "not started", "evaluation": None, "warnings": []}
-        summary = found[-1].header()["summary"]
-        if summary["status"] == "finished" and summary["step"] < self.config["steps"]:
+        if found:
+            summary = found[-1].header()["summary"]
+        else:
+            path = self.seed_directory(seed) / "summary.json"
+            nothing = {"seed": seed, "step": 0, "status": "not started", "evaluation": None, "warnings": []}
+            summary = read_json(path, _DAMAGED) if path.exists() else nothing
+        if summary.get("status") == "finished" and summary.get("step", 0) < self.config["steps"]:
             summary["status"] = "running"  # it was finished once, and made longer since
         return summary
+
+    def episodes(self, seed: int) -> tuple[int, dict[str, np.ndarray]] | None:
+        """Step and arrays of the seed's latest recorded evaluation: observations [episodes, time, obs_dim], returns
+        [episodes], flags; None where there is none.
+
+        Raises:
+            CheckpointError: the file is damaged or holds anything but plain arrays.
+        """
+        files = {
+            int(path.stem): path
+            for path in (self.seed_directory(seed) / "evaluations").glob("*.npz")
+            if path.stem.isdigit()
+        }
+        return (max(files), read_arrays(files[max(files)], "Evaluate again.")) if files else None
+
+    def _json_if_there(self, name: str) -> dict[str, Any]:
+        path = self.path / name
+        return read_json(path, _DAMAGED) if path.exists() else {}
 
 
 def blank_state(algorithm: Algorithm, spec: Spec) -> Any:
@@ -190,145 +256,3 @@ def blank_state(algorithm: Algorithm, spec: Spec) -> Any:
         return algorithm.init(key_init, spec, algorithm.untrained(key_models, spec))
 
     return eqx.filter_eval_shape(build, jr.key(0))
-
-
-def begin(path: Path, config: dict[str, Any], data: dict[str, Any], dataset: Dataset) -> RunDirectory:
-    """Opens `path` for a run with these settings: writes its files, or checks that those there say the same.
-
-    Raises:
-        ConfigError: the directory holds another run, or something that is no run.
-    """
-    run = RunDirectory(path)
-    if (path / "config.json").exists():
-        _check_same(run, config, data)
-        return run
-    refuse_foreign(path)
-    path.mkdir(parents=True, exist_ok=True)
-    write_json(path / "environment.json", {**process_record(), "resumed": []})
-    write_arrays(path / "data_sample.npz", data_sample(dataset))
-    write_json(path / "data.json", data)
-    write_json(path / "config.json", config)
-    return run
-
-
-def refuse_foreign(path: Path) -> None:
-    """Makes sure that `path` can become a run's directory, or is one.
-
-    Raises:
-        ConfigError: it is a file, or holds files of something else.
-    """
-    if path.exists() and not path.is_dir():
-        raise ConfigError(f"{path}: is a file, not a directory. Give another directory with --out.")
-    if not path.exists() or (path / "config.json").exists():
-        return
-    # A kill before the config was written leaves some of our own files, and nothing of value.
-    foreign = sorted(
-        child.name
-        for child in path.iterdir()
-        if child.name not in (*_FILES, lock.NAME) and not child.name.startswith(TEMPORARY_PREFIX)
-    )
-    if foreign:
-        raise ConfigError(
-            f"{path}: is not empty ({', '.join(foreign[:3])}{', ...' if len(foreign) > 3 else ''}) and holds no run. "
-            "Give another directory with --out."
-        )
-
-
-def _check_same(run: RunDirectory, config: dict[str, Any], data: dict[str, Any]) -> None:
-    old, new = {**run.config, "data": run.data.get("sha256")}, {**config, "data": data["sha256"]}
-    fields = ("algorithm", "data", "steps", "seeds", "evaluate", "checkpoint_every", "stretch")
-    different = [field for field in fields if old.get(field) != new.get(field)]
-    if different:
-        details = "; ".join(_difference(field, old.get(field), new.get(field)) for field in different)
-        remedy = f"train into another directory with --out, or go on with the old settings by `odaf resume {run.path}`"
-        if different == ["steps"]:
-            remedy = f"go on with `odaf resume {run.path} --steps {new['steps']}`, or give another directory with --out"
-        raise ConfigError(f"{run.path}: holds a run with other settings ({details}). To keep both: {remedy}.")
-
-
-def _difference(field: str, old: Any, new: Any) -> str:
-    if isinstance(old, dict) and isinstance(new, dict):
-        keys = [key for key in {**old, **new} if old.get(key) != new.get(key)]
-        return ", ".join(_difference(f"{field}.{key}", old.get(key), new.get(key)) for key in keys)
-    return f"{field} was {old!r}, now {new!r}"
-
-
-def clean(seed_directory: Path, step: int) -> None:
-    """Removes what a killed process left: unfinished writes, and evaluations later than checkpoint `step`."""
-    remove_unfinished(seed_directory)
-    for file in (seed_directory / "evaluations").glob("*.npz"):
-        if file.stem.isdigit() and int(file.stem) > step:
-            file.unlink()
-
-
-def remove_unfinished(directory: Path, *, recursive: bool = True) -> None:
-    """Removes files and folders of writes that broke off; only for a process that holds the run's lock."""
-    pattern = f"{TEMPORARY_PREFIX}*"
-    for leftover in list(directory.rglob(pattern) if recursive else directory.glob(pattern)):
-        if leftover.is_dir():
-            shutil.rmtree(leftover)
-        else:
-            leftover.unlink(missing_ok=True)
-
-
-def data_record(dataset: Dataset, normaliser: Normaliser, path: str | os.PathLike[str] | None) -> dict[str, Any]:
-    """The content of `data.json`."""
-    return {
-        "path": None if path is None else os.fspath(path),
-        "sha256": dataset.fingerprint(),
-        "summary": dataset.summary(),
-        "spec": dataset.spec().to_dict(),
-        "normaliser": normaliser.to_dict(),
-        "environment": dataset.environment,
-    }
-
-
-def data_sample(dataset: Dataset) -> dict[str, np.ndarray]:
-    """The content of `data_sample.npz`.
-
-    Returns:
-        `returns` [episodes] of every logged episode; `best_observations` [time, obs_dim] of the one with the largest
-        return; `observations` [n, time, obs_dim] of at most 100 episodes spread evenly over the log, NaN after each
-        one's end.
-    """
-    returns = np.asarray(dataset.episode_returns(), np.float32)
-    chosen = np.unique(np.linspace(0, dataset.num_episodes - 1, _SAMPLED_EPISODES).round().astype(int))
-    episodes = [dataset.observations[dataset.episode(int(index))] for index in chosen]
-    longest = max(len(episode) for episode in episodes)
-    padded = np.full((len(episodes), longest, dataset.obs_dim), np.nan, np.float32)
-    for row, episode in zip(padded, episodes, strict=True):
-        row[: len(episode)] = episode
-    best = dataset.observations[dataset.episode(int(returns.argmax()))]
-    return {"returns": returns, "best_observations": np.asarray(best, np.float32), "observations": padded}
-
-
-def changes(before: dict[str, Any], now: dict[str, Any]) -> str:
-    """In words, what two process records differ in that can change a bit of the result; empty if nothing."""
-    names = ("python", "device", "cores")
-    old = {**{name: before.get(name) for name in names}, **before.get("versions", {})}
-    new = {**{name: now[name] for name in names}, **now["versions"]}
-    different = [name for name in {**old, **new} if old.get(name) != new.get(name)]
-    return ", ".join(f"{name} was {old.get(name)}, is {new.get(name)}" for name in different)
-
-
-@functools.cache
-def _versions() -> dict[str, str]:
-    versions = {}
-    for package in _PACKAGES:
-        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
-            versions[package] = importlib.metadata.version(package)
-    return versions
-
-
-def process_record() -> dict[str, Any]:
-    """What this process is: versions, device, platform, command, and when it began."""
-    device = jax.devices()[0]
-    return {
-        "python": platform.python_version(),
-        "versions": _versions(),
-        "device": f"{device.platform}: {device.device_kind} x {jax.device_count()}",
-        "platform": platform.platform(),
-        "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
-        "command": list(sys.argv),
-        "started": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
-    }

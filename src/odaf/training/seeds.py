@@ -11,14 +11,16 @@ import jax
 from odaf.data.dataset import Dataset
 from odaf.data.sampling import Columns, training_column_shapes, training_columns
 from odaf.errors import DivergenceError
-from odaf.training import checkpoints, loop, run_directory
+from odaf.training import checkpoints, loop, run_directory, run_writing
 from odaf.training.evaluator import Evaluator
 from odaf.training.files import write_json
+from odaf.training.interrupts import held_back
 from odaf.training.logging import JsonLines, Logger
 from odaf.training.memory import give_back_freed_memory
 from odaf.training.monitors import DivergenceMonitor, TrainingWarning
 from odaf.training.progress import ProgressReport
 from odaf.training.run_directory import RunDirectory
+from odaf.training.settings import KeepCheckpoints
 
 
 @dataclass(frozen=True)
@@ -71,6 +73,7 @@ class _Record:
     warnings: list[TrainingWarning]
     evaluation: dict[str, Any] | None = None
     status: str = "running"
+    evaluation_due: bool = False
 
 
 class SeedTraining:
@@ -83,13 +86,17 @@ class SeedTraining:
         evaluate: Evaluator | None,
         on_divergence: str,
         progress: ProgressReport,
+        asked_to_stop: Callable[[], bool] = lambda: False,
     ):
+        self.asked_to_stop = asked_to_stop
         self.run, self.seed, self.evaluate, self.progress = run, seed, evaluate, progress
         self.stops_on_divergence = on_divergence == "stop"
         self.directory = run.seed_directory(seed)
         self.steps: int = run.config["steps"]
         self.stretch: int = run.config["stretch"]
         self.checkpoint_every: int = run.config["checkpoint_every"]
+        keep = run.config["keep_checkpoints"]
+        self.keep: KeepCheckpoints = keep if keep == "all" else tuple(keep)
         found = run.checkpoints(seed)
         self.checkpoint = found[-1] if found else None
         self.step = self.checkpoint.step if self.checkpoint else 0
@@ -102,11 +109,23 @@ class SeedTraining:
                 [TrainingWarning(**warning) for warning in summary["warnings"]],
                 summary["evaluation"],
                 summary["status"],
+                summary.get("evaluation_due", False),
             )
+        if evaluate is None:
+            self.record.evaluation_due = False
 
     def is_finished(self) -> bool:
-        """Whether the last checkpoint is the last one asked for; it was evaluated before it was written."""
-        return self.step >= self.steps
+        """Whether the last checkpoint is the last one asked for, and was evaluated if it is to be."""
+        return self.step >= self.steps and not self.record.evaluation_due
+
+    def tidy_up(self) -> None:
+        """Brings the files of a finished seed up to date, wherever a kill left them."""
+        assert self.checkpoint is not None
+        if self.checkpoint.header()["summary"].get("evaluation_due"):  # it is not asked for any more
+            self.record.status = "finished"
+            checkpoints.rewrite_record(self.checkpoint, {"summary": self._summary()})
+        self._prune()
+        self.write_summary()
 
     def go(self, data: TrainingData, loggers: Sequence[Logger]) -> None:
         """Trains to the last step, with the files in a state to be continued after every write.
@@ -115,14 +134,15 @@ class SeedTraining:
 
         Raises:
             DivergenceError: as `odaf.training.fit.fit`.
+            KeyboardInterrupt: somebody pressed Ctrl-C, or `asked_to_stop` says so; the state is saved first.
         """
         self.directory.mkdir(exist_ok=True)
-        run_directory.clean(self.directory, self.step)
+        run_writing.clean(self.directory, self.step)
         self.began = time.perf_counter() - self.record.seconds.get("total", 0.0)
         self.began -= data.compile_seconds
         _add(self.record.seconds, "compile", data.compile_seconds)
         state = self.run.state(self.seed, self.step) if self.checkpoint else self._first_state(data.dataset)
-        lines = JsonLines()
+        lines = JsonLines(evaluated=not self.record.evaluation_due)
         everyone = (lines, *loggers)
         try:
             for logger in everyone:
@@ -158,15 +178,20 @@ class SeedTraining:
             run.spec, run.algorithm.view().discount, run.config["algorithm"], seen={w.kind for w in record.warnings}
         )
         key = loop.training_key(self.seed)
-        record.status = "running"
+        if not self.is_finished():
+            record.status = "running"
         self.write_summary()
         self.progress.start(training_stage(self.seed), self.steps, self.step)
+        if record.evaluation_due:
+            self._measure(state, loggers, lines)
         while self.step < self.steps:
             stop = self._next_stop()
             first, last = loop.update_number(self.step), loop.update_number(stop)
             began = time.perf_counter()
-            state, reduced = data.train(data.columns, key, first, last, state)
-            metrics = {name: float(value) for name, value in jax.device_get(reduced).items()}
+            with held_back(self._say_that_it_saves) as interrupt:
+                state, reduced = data.train(data.columns, key, first, last, state)
+                interrupt.wait_for(reduced)
+                metrics = {name: float(value) for name, value in jax.device_get(reduced).items()}
             took = time.perf_counter() - began
             _add(seconds, "train", took)
             timing = {"time/updates_per_second": (stop - self.step) / took}
@@ -180,12 +205,20 @@ class SeedTraining:
             lost = not all(map(math.isfinite, metrics.values())) and not loop.is_finite(state)
             stopped = lost or (bool(diverged) and self.stops_on_divergence)
             at_end = self.step >= self.steps
-            if self.evaluate is not None and not lost and (at_end or self.step % self.evaluate.every == 0):
-                self._measure(state, self.evaluate, loggers)
-            if stopped or at_end or self.step % self.checkpoint_every == 0:
-                record.status = "diverged" if stopped else "finished" if at_end else "running"
+            record.evaluation_due = (
+                self.evaluate is not None and not lost and (at_end or self.step % self.evaluate.every == 0)
+            )
+            # Before it is evaluated, so that no environment can cost an update.
+            interrupted = interrupt.came or self.asked_to_stop()
+            if stopped or at_end or interrupted or record.evaluation_due or self.step % self.checkpoint_every == 0:
+                evaluated = at_end and not record.evaluation_due
+                record.status = "diverged" if stopped else "finished" if evaluated else "running"
                 lines.sync()
                 self._save(state)
+            if interrupted:
+                raise KeyboardInterrupt(f"seed {self.seed} is saved at update {self.step:,}")
+            if record.evaluation_due:
+                self._measure(state, loggers, lines)
             self.progress.advance(self.step)
             if lost:
                 first = next(warning for warning in record.warnings if warning.kind == "not-finite")
@@ -200,20 +233,33 @@ class SeedTraining:
                     f"`odaf resume {run.path} --on-divergence warn` goes on regardless."
                 )
 
+    def _say_that_it_saves(self) -> None:
+        self.progress.message(f"seed {self.seed}: stopping; saves after this stretch (Ctrl-C again: stops at once)")
+
     def _next_stop(self) -> int:
         intervals = [self.stretch, self.checkpoint_every]
         if self.evaluate is not None:
             intervals.append(self.evaluate.every)
         return min(self.steps, *((self.step // interval + 1) * interval for interval in intervals))
 
-    def _measure(self, state: Any, evaluate: Evaluator, loggers: Sequence[Logger]) -> None:
-        began = time.perf_counter()
-        run = self.run
-        found = evaluate(run.policy_of(state), self.directory, self.step)
-        _add(self.record.seconds, "evaluate", time.perf_counter() - began)
-        self.record.evaluation = {"step": self.step, **found.summary}
+    def _measure(self, state: Any, loggers: Sequence[Logger], lines: JsonLines) -> None:
+        """Evaluates the state that was just saved, and adds what was found to its checkpoint."""
+        assert self.evaluate is not None and self.checkpoint is not None
+        began, record = time.perf_counter(), self.record
+        found = self.evaluate(self.run.policy_of(state), self.directory, self.step)
+        _add(record.seconds, "evaluate", time.perf_counter() - began)
+        for kind, sentence in found.warnings.items():
+            if kind not in {warning.kind for warning in record.warnings}:
+                self._warn(TrainingWarning(kind, self.step, f"update {self.step:,}: {sentence}"))
+        record.evaluation, record.evaluation_due = {"step": self.step, **found.summary}, False
+        if self.step >= self.steps and record.status != "diverged":
+            record.status = "finished"
         for logger in loggers:
             logger.log(self.step, found.metrics)
+        lines.sync()
+        record.seconds["total"] = time.perf_counter() - self.began
+        checkpoints.rewrite_record(self.checkpoint, {"summary": self._summary()})
+        self.write_summary()
         self.progress.advance(self.step, f"return {found.headline:,.1f}")
 
     def _warn(self, warning: TrainingWarning) -> None:
@@ -228,6 +274,7 @@ class SeedTraining:
             "step": self.step,
             "status": self.record.status,
             "evaluation": self.record.evaluation,
+            "evaluation_due": self.record.evaluation_due,
             "updates_per_second": self.step / train if train else None,
             "seconds": {name: seconds.get(name, 0.0) for name in ("pretrain", "compile", "train", "evaluate", "total")},
             "pretrain": self.record.pretrain,
@@ -238,7 +285,12 @@ class SeedTraining:
         self.record.seconds["total"] = time.perf_counter() - self.began
         record = {"seed": self.seed, "summary": self._summary()}
         self.checkpoint = checkpoints.save(self.directory / "checkpoints", self.step, state, record)
+        self._prune()
         self.write_summary()
+
+    def _prune(self) -> None:
+        if self.record.status != "diverged":  # then an earlier one is all that is left to use
+            checkpoints.prune(self.directory / "checkpoints", self.keep, self.checkpoint_every)
 
     def write_summary(self) -> None:
         """Writes `summary.json`, which says what the last checkpoint's header says."""

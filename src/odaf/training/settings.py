@@ -1,0 +1,209 @@
+"""How a run is to go, in one frozen object: what `fit` takes, the command line offers, `config.json` keeps and checks.
+
+What is left open (None) is filled in once, by `RunSettings.resolved`: from the run that is gone on with, or from this
+process. So a record always says how many cores, which device and which precision its bits belong to.
+"""
+
+import contextlib
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any, Literal, Protocol, TypedDict, runtime_checkable
+
+import jax
+
+from odaf.components.critics import usable_cores
+from odaf.errors import ConfigError
+
+OnDivergence = Literal["warn", "stop"]
+KeepCheckpoints = tuple[int, int] | Literal["all"]
+Device = Literal["cpu", "gpu", "tpu"]
+Precision = Literal["default", "high", "highest"]
+
+# What JAX calls the three, too.
+_PRECISIONS: dict[str | None, Precision] = {
+    None: "default", "default": "default", "bfloat16": "default", "fastest": "default",
+    "high": "high", "tensorfloat32": "high", "bfloat16_3x": "high",
+    "highest": "highest", "float32": "highest",
+}  # fmt: skip
+# A run's directory belongs to these; the rest only says how the machine is shared, or what a warning leads to.
+_COMPARED = (
+    "steps", "seeds", "evaluate", "checkpoint_every", "keep_checkpoints", "stretch", "cores", "device", "precision"
+)  # fmt: skip
+
+
+@runtime_checkable
+class EvaluationSettings(Protocol):
+    """How often policies are tried, and how that is written down."""
+
+    @property
+    def every(self) -> int:
+        """Updates between two evaluations; the last update is always followed by one."""
+        ...
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain JSON types, for `config.json`."""
+        ...
+
+
+@dataclass(frozen=True)
+class RunSettings:
+    """How a run is to go."""
+
+    steps: int = 20_000
+    """Updates for each seed."""
+    seeds: Sequence[int] = (0,)
+    """One policy is trained for each; the same seed gives the same policy."""
+    evaluate: EvaluationSettings | None = None
+    """How policies are tried while they train, every so many updates and after the last; None tries none."""
+    checkpoint_every: int = 5_000
+    """Updates between two checkpoints; there is one before the first update, before each evaluation and at the end."""
+    keep_checkpoints: KeepCheckpoints = (3, 10)
+    """Checkpoints that stay: 3 10 keeps the last three and every tenth, 1 0 the last alone, `all` every one."""
+    stretch: int = 1_000
+    """Updates in one compiled call, and between two lines of metrics."""
+    on_divergence: OnDivergence = "warn"
+    """What to do when values leave the range that rewards allow. Parameters that are not finite always end training."""
+    workers: int | None = None
+    """Processes that train seeds side by side; 1 trains them one after another. Without it, Python takes 1, and the
+    command line one for each seed up to what the cores allow, or 1 beside an accelerator."""
+    cores: int | None = None
+    """Processor cores that the training of a seed is laid out for; the bits of a run belong to their number. Without
+    it, each worker's share of the cores, and for a run that is gone on with the number it was begun with."""
+    device: Device | None = None
+    """Kind of device to compute on; without it, the fastest that JAX finds."""
+    precision: Precision | None = None
+    """Precision of matrix products on an accelerator (`highest` is single precision); without it, JAX's default."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "seeds", tuple(int(seed) for seed in self.seeds))
+        if self.keep_checkpoints != "all":
+            object.__setattr__(self, "keep_checkpoints", tuple(map(int, self.keep_checkpoints)))
+        counts = {name: getattr(self, name) for name in ("steps", "checkpoint_every", "stretch", "workers", "cores")}
+        if self.evaluate is not None:
+            counts["evaluate.every"] = self.evaluate.every
+        for name, value in counts.items():
+            if value is not None and value < 1:
+                raise ConfigError(f"{name}: must be at least 1, got {value}")
+        if self.steps >= 2**31:
+            raise ConfigError(f"steps: must be below 2^31, got {self.steps}")
+        distinct, allowed = len(set(self.seeds)) == len(self.seeds), all(0 <= seed < 2**32 for seed in self.seeds)
+        if not self.seeds or not distinct or not allowed:
+            raise ConfigError(
+                f"seeds: must be distinct integers from 0 to 2^32 - 1, at least one, got {list(self.seeds)}"
+            )
+        self._check_choice("on_divergence", ("warn", "stop"))
+        self._check_choice("device", (None, "cpu", "gpu", "tpu"))
+        self._check_choice("precision", (None, "default", "high", "highest"))
+        if self.keep_checkpoints != "all" and (
+            len(self.keep_checkpoints) != 2 or self.keep_checkpoints[0] < 1 or self.keep_checkpoints[1] < 0
+        ):
+            raise ConfigError(
+                f"keep_checkpoints: must be 'all' or two numbers, how many of the last stay (1 or more) and every "
+                f"which of the others (0 for none), got {self.keep_checkpoints}"
+            )
+
+    def _check_choice(self, name: str, known: tuple[Any, ...]) -> None:
+        value = getattr(self, name)
+        if value not in known:
+            words = ", ".join(repr(choice) for choice in known if choice is not None)
+            raise ConfigError(f"{name}: must be one of {words}, got {value!r}")
+
+    def with_changes(self, changes: Mapping[str, Any]) -> "RunSettings":
+        """The same with other values for some fields.
+
+        Raises:
+            ConfigError: a field does not exist, or a value is out of range.
+        """
+        known = [field.name for field in fields(self)]
+        unknown = [name for name in changes if name not in known]
+        if unknown:
+            raise ConfigError(f"{', '.join(unknown)}: no such setting of a run; known are {', '.join(known)}")
+        return replace(self, **changes)
+
+    def resolved(self, recorded: Mapping[str, Any] | None = None) -> "RunSettings":
+        """The same with nothing left open.
+
+        Args:
+            recorded: `config.json` of the run that is gone on with, if there is one; it fills what is open first.
+        """
+        known = {name: recorded.get(name) for name in ("workers", "cores", "device", "precision")} if recorded else {}
+        workers = self.workers or known.get("workers") or 1
+        processes = min(workers, len(self.seeds))
+        cores = self.cores or known.get("cores") or max(1, usable_cores() // processes)
+        device = self.device or known.get("device") or jax.default_backend()
+        precision = self.precision or known.get("precision")
+        return replace(self, workers=workers, cores=cores, device=device, precision=precision or _precision_now())
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain JSON types, as they stand in `config.json`."""
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        keep = self.keep_checkpoints
+        return values | {
+            "seeds": list(self.seeds),
+            "keep_checkpoints": keep if keep == "all" else list(keep),
+            "evaluate": None if self.evaluate is None else self.evaluate.to_dict(),
+        }
+
+    @classmethod
+    def recorded(cls, config: Mapping[str, Any]) -> "RunSettings":
+        """The settings in a `config.json`, but for the evaluation, which a record cannot bring back to life.
+
+        Raises:
+            ConfigError: a value is out of range, so the file was changed.
+        """
+        names = [field.name for field in fields(cls) if field.name in config and field.name != "evaluate"]
+        values = {name: config[name] for name in names}
+        if isinstance(keep := values.get("keep_checkpoints"), list):
+            values["keep_checkpoints"] = tuple(keep)
+        return cls(**values)
+
+
+def products_in(precision: Precision | None) -> contextlib.AbstractContextManager[object]:
+    """A context whose matrix products have a run's precision; as JAX is set outside of it, if that is the same."""
+    return (
+        contextlib.nullcontext() if precision in (None, _precision_now()) else jax.default_matmul_precision(precision)
+    )
+
+
+def _precision_now() -> Precision:
+    named = jax.config.values["jax_default_matmul_precision"]
+    if named not in _PRECISIONS:
+        raise ConfigError(
+            f"precision: JAX is set to {named!r}, which a run cannot record; take default, high or highest"
+        )
+    return _PRECISIONS[named]
+
+
+class SettingChanges(TypedDict, total=False):
+    """The fields of `RunSettings` as keyword arguments, for `fit(..., steps=1000, seeds=[0, 1])`."""
+
+    steps: int
+    seeds: Sequence[int]
+    evaluate: EvaluationSettings | None
+    checkpoint_every: int
+    keep_checkpoints: KeepCheckpoints
+    stretch: int
+    on_divergence: OnDivergence
+    workers: int | None
+    cores: int | None
+    device: Device | None
+    precision: Precision | None
+
+
+def differences(old: Mapping[str, Any], new: Mapping[str, Any], more: Iterable[str] = ()) -> dict[str, str]:
+    """In which fields that a run's directory belongs to two records differ, each in words.
+
+    Args:
+        old: content of `config.json`.
+        new: the same of what was asked for.
+        more: further fields to compare.
+    """
+    names = [*more, *_COMPARED]
+    return {name: _difference(name, old.get(name), new.get(name)) for name in names if old.get(name) != new.get(name)}
+
+
+def _difference(field: str, old: Any, new: Any) -> str:
+    if isinstance(old, dict) and isinstance(new, dict):
+        keys = [key for key in {**old, **new} if old.get(key) != new.get(key)]
+        return ", ".join(_difference(f"{field}.{key}", old.get(key), new.get(key)) for key in keys)
+    return f"{field} was {old!r}, now {new!r}"
