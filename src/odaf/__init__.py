@@ -28,6 +28,7 @@ _HOME_OF = {
     "Policy": "odaf.evaluation",
     "PolicySmoothing": "odaf.algorithms.terms",
     "Rollouts": "odaf.evaluation",
+    "RunSettings": "odaf.training.settings",
     "Run": "odaf.evaluation",
     "ValueSmoothing": "odaf.algorithms.terms",
     "evaluate": "odaf.runs.evaluate",
@@ -81,6 +82,7 @@ if TYPE_CHECKING:
     from odaf.runs.evaluate import evaluate
     from odaf.runs.fit import fit, load_run, resume
     from odaf.runs.methods import ODAF, preset
+    from odaf.training.settings import RunSettings
 
 __all__ = [
     "ODAF",
@@ -102,6 +104,7 @@ __all__ = [
     "PolicySmoothing",
     "Rollouts",
     "Run",
+    "RunSettings",
     "ValueSmoothing",
     "__version__",
     "evaluate",

@@ -25,10 +25,13 @@ def test_lines_are_rare_but_the_last_is_never_missing(monkeypatch):
     assert len(lines) == 5
 
 
-def test_the_end_is_said_once_and_in_the_stages_own_unit():
+def test_the_end_is_said_once_and_in_the_stages_own_unit(monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr("time.monotonic", lambda: now[0])
     stream = io.StringIO()
     report = progress.Lines(stream)
     report.start("hopper-random", 10, unit="rows")
+    now[0] = 2.0
     for _ in range(3):
         report.advance(10)
     report.advance(10, "return 3.0")  # news at the end is told
@@ -65,3 +68,17 @@ def test_choice_of_report(monkeypatch):
     assert progress.default_progress(own) is own
     monkeypatch.setenv("FORCE_COLOR", "1")
     assert isinstance(progress.default_progress(True), progress.Bar)
+
+
+def test_no_speed_is_told_of_what_took_no_time(monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr("time.monotonic", lambda: now[0])
+    stream = io.StringIO()
+    report = progress.Lines(stream, interval=0.0)
+    report.start("seed 0: training", 100_000)
+    now[0] = 1e-4
+    report.advance(50_000)
+    now[0] = 1.0
+    report.advance(100_000)
+    lines = stream.getvalue().splitlines()
+    assert lines == ["seed 0: training: 50,000/100,000", "seed 0: training: 100,000/100,000  100,000 updates/s"]

@@ -41,6 +41,8 @@ class ResumeOptions:
     """Another number of episodes in each evaluation."""
     on_divergence: Annotated[Literal["warn", "stop"] | None, tyro.conf.arg(metavar="{warn,stop}")] = None
     """What to do when values leave the range that the rewards allow; without it, as the run was begun."""
+    log_to: tuple[Literal["tensorboard", "wandb", "mlflow"], ...] = ()
+    """Trackers that hear of the metrics, too; each is an extra, as in pip install "odaf[tensorboard]"."""
     compilation_cache: bool = True
     """Keep compiled programs in the user's cache folder (ODAF_CACHE_DIR names another), for a quick start next time."""
     quiet: bool = False
@@ -54,6 +56,7 @@ def run(arguments: list[str]) -> None:
 
     from odaf.runs.fit import load_run, resume
     from odaf.runs.side_by_side import default_workers
+    from odaf.training.trackers import tracker
 
     use_compilation_cache(options.compilation_cache)
     with resumable(options.directory):
@@ -67,6 +70,7 @@ def run(arguments: list[str]) -> None:
             evaluate=_evaluation(options, run.config.get("evaluate")),
             on_divergence=options.on_divergence,
             progress=not options.quiet,
+            loggers=[tracker(name) for name in options.log_to],
         )
     print_run(result)
 

@@ -41,6 +41,8 @@ class RunOptions:
     """How MuJoCo counts the contact margins of two parts that touch: `added`, as it does from 3.5.0 on, or `larger`, as
     before, which makes Hopper and the point mazes the older bodies; without it, as the data set says or the
     installed one does."""
+    log_to: tuple[Literal["tensorboard", "wandb", "mlflow"], ...] = ()
+    """Trackers that hear of the metrics, too; each is an extra, as in pip install "odaf[tensorboard]"."""
     compilation_cache: bool = True
     """Keep compiled programs in the user's cache folder (ODAF_CACHE_DIR names another), for a quick start next time."""
     quiet: bool = False
@@ -74,9 +76,11 @@ def train(preset: str, algorithm: Any, options: RunOptions, how: Any) -> None:
     from odaf.training.fit import recorded_config
     from odaf.training.run_writing import refuse_foreign
     from odaf.training.settings import RunSettings
+    from odaf.training.trackers import tracker
 
     use_compilation_cache(options.compilation_cache)
     refuse_foreign(options.out)
+    loggers = [tracker(name) for name in options.log_to]
     dataset = Dataset.load(options.data)
     settings = RunSettings(**vars(how), evaluate=_evaluation(options, dataset))
     if settings.workers is None:
@@ -91,6 +95,7 @@ def train(preset: str, algorithm: Any, options: RunOptions, how: Any) -> None:
             progress=not options.quiet,
             preset=preset,
             data_path=options.data,
+            loggers=loggers,
         )
     print_run(result)
 

@@ -7,6 +7,8 @@ from typing import Protocol, runtime_checkable
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+_SECONDS_BEFORE_A_RATE = 0.5
+
 
 @runtime_checkable
 class ProgressReport(Protocol):
@@ -131,14 +133,18 @@ class _Rate:
     def __init__(self, done: int, unit: str):
         self._first, self._began, self._unit = done, time.monotonic(), unit
 
+    def _is_known(self, done: int) -> bool:
+        # What was reported in the first moment may have waited there for long, and would make an impossible speed.
+        return done > self._first and time.monotonic() - self._began >= _SECONDS_BEFORE_A_RATE
+
     def per_second(self, done: int) -> float:
         return (done - self._first) / max(time.monotonic() - self._began, 1e-9)
 
     def text(self, done: int) -> str:
-        return f"{self.per_second(done):,.0f} {self._unit}/s" if done > self._first else ""
+        return f"{self.per_second(done):,.0f} {self._unit}/s" if self._is_known(done) else ""
 
     def left(self, done: int, total: int) -> str:
-        if done <= self._first or done >= total:
+        if done >= total or not self._is_known(done):
             return ""
         seconds = round((total - done) / self.per_second(done))
         return f"{seconds // 60}:{seconds % 60:02d} left"
