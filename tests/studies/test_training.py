@@ -192,3 +192,11 @@ def test_another_code_version_of_a_learner_makes_its_records_stale(
     job = next(job for job in ledger.study.jobs() if job.do == training)
     monkeypatch.setitem(identity.LEARNER_VERSIONS, "ensemble-sac", 2)
     assert ledger.standing(job).differences == ("learner_version was 1, is 2",)
+
+
+def test_a_record_of_other_rows_is_stale(held: tuple[Training, Ledger]) -> None:
+    training, ledger = held
+    record = read(ledger.out / f"{training.name}.json")
+    assert training.recorded(record, ledger.data)["data"] == training.identity()["data"]
+    record["data"]["sha256"] = "0" * 64
+    assert training.recorded(record, ledger.data)["data"]["print"] == "00000000, not in data.json"
