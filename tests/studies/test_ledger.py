@@ -95,10 +95,12 @@ def test_records_stand_on_the_rows_that_are_made_today(tmp_path: Path) -> None:
     ledger, one = ledger_of(1)
     assert ledger.standing(one).state == "held"  # a ledger without data.json is believed
     with pytest.raises(ConfigError, match="stand on data with the fingerprint old; those made here have new,.*--out"):
-        ledger.note_log(TextLog(), "new")
+        ledger.note_log(TextLog(), ["new"])
     assert not (tmp_path / "data.json").exists()
-    ledger.note_log(TextLog(), "old")
-    assert json.loads((tmp_path / "data.json").read_text()) == {"words": {"recipe": {"version": 1}, "sha256": ["old"]}}
+    ledger.note_log(TextLog(), ["rows", "old"])
+    assert json.loads((tmp_path / "data.json").read_text()) == {
+        "words": {"recipe": {"version": 1}, "sha256": ["old", "rows"]}
+    }
 
     (tmp_path / "a.json").write_text('{"data": {"sha256": "other"}}', encoding="utf-8")
     ledger, one = ledger_of(1)
@@ -107,6 +109,6 @@ def test_records_stand_on_the_rows_that_are_made_today(tmp_path: Path) -> None:
     (tmp_path / "a.json").write_text('{"data": {"sha256": "old"}}', encoding="utf-8")
     ledger, one = ledger_of(2)  # the log is made in another way now
     assert ledger.standing(one).differences == ("recipe.version was 1, is 2",)
-    ledger.note_log(TextLog(version=2), "new")
+    ledger.note_log(TextLog(version=2), ["new"])
     assert ledger.standing(one).state == "stale"
     assert TextLog(version=2).file(tmp_path) != TextLog(version=1).file(tmp_path)

@@ -16,6 +16,9 @@ if TYPE_CHECKING:
 Record = dict[str, Any]
 """One JSON file of a ledger."""
 
+PRINTS = ("rows_sha256", "sha256")
+"""What records call the fingerprint of a log's rows, and that of the whole file, notes included; either will do."""
+
 DataEntries = Mapping[str, Mapping[str, Any]]
 """For each log of a ledger its recipe, and the fingerprints under which its rows are known."""
 
@@ -237,6 +240,11 @@ def labels_of(jobs: Iterable[Job]) -> dict[str, list[str]]:
         for kind, words in job.do.labels.items():
             found.setdefault(kind, []).extend(word for word in words if word not in found.get(kind, ()))
     return found
+
+
+def prints_of(data: Mapping[str, Any]) -> list[str]:
+    """The fingerprints that a record, or a run's `data.json`, gives of its data: of their rows, of the file."""
+    return [data[kind] for kind in PRINTS if data.get(kind) is not None]
 
 
 def short_print(content: Mapping[str, Any]) -> str:

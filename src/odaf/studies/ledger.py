@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 from odaf.errors import ConfigError
 from odaf.studies.identity import differences
-from odaf.studies.job import Job, Log, Record, Study
+from odaf.studies.job import Job, Log, Record, Study, prints_of
 
 DATA = "data.json"
 
@@ -89,22 +89,24 @@ class Ledger:
         _write(self.path(job), whole)
         return whole
 
-    def note_log(self, log: Log, fingerprint: str) -> None:
-        """Notes under which fingerprint a log that lies in the work directory goes.
+    def note_log(self, log: Log, fingerprints: Sequence[str]) -> None:
+        """Notes by which fingerprints a log that lies in the work directory goes; one that is known makes all known.
 
         Raises:
             ConfigError: its recipe is that of the records that are there, and its rows are not.
         """
         recipe, known = log.recipe(), self.data.get(log.name)
         if known is not None and not differences(known["recipe"], recipe):
-            if fingerprint not in known["sha256"]:
+            if not set(fingerprints) & set(known["sha256"]):
+                before = " or ".join(one[:8] for one in known["sha256"])
                 raise ConfigError(
-                    f"{self.out}: its records of {log.name} stand on data with the fingerprint "
-                    f"{' or '.join(entry[:8] for entry in known['sha256'])}; those made here have {fingerprint[:8]}, "
-                    "as another simulator or processor makes them. Measure into a ledger of your own with --out DIR"
+                    f"{self.out}: its records of {log.name} stand on data with the fingerprint {before}; those made "
+                    f"here have {fingerprints[0][:8]}, as another simulator or processor makes them. Measure into a "
+                    "ledger of your own with --out DIR"
                 )
+            known["sha256"] += [one for one in fingerprints if one not in known["sha256"]]
         else:  # the first of this recipe: records of another one are stale by it
-            known = {"recipe": recipe, "sha256": [fingerprint]}
+            known = {"recipe": recipe, "sha256": [*fingerprints]}
         self.data[log.name] = known
         _write(self.out / DATA, dict(sorted(self.data.items())))
 
@@ -126,10 +128,9 @@ class Ledger:
             log, path = job.do.log, self.path(job)
             if log is None or not path.exists():
                 continue
-            fingerprint = _read(path, "remove the file to measure it again").get("data", {}).get("sha256")
+            record = _read(path, "remove the file to measure it again")
             entry = found.setdefault(log.name, {"recipe": log.recipe(), "sha256": []})
-            if fingerprint is not None and fingerprint not in entry["sha256"]:
-                entry["sha256"].append(fingerprint)
+            entry["sha256"] += [one for one in prints_of(record.get("data", {})) if one not in entry["sha256"]]
         return found
 
 

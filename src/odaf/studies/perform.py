@@ -33,7 +33,10 @@ class MakeLog(Work):
         from odaf.data.dataset import Dataset
 
         progress.start(f"data of {self.made.name}", 0)
-        return {"sha256": Dataset.load(self.made.present(place)).fingerprint(), "seconds": None}
+        dataset = Dataset.load(self.made.present(place))
+        # Of the rows, and of the file; data sets of versions that know one only have that.
+        prints = [getattr(dataset, name)() for name in ("fingerprint", "file_fingerprint") if hasattr(dataset, name)]
+        return {"prints": prints, "seconds": None}
 
     def identity(self) -> dict[str, Any]:
         return self.made.recipe()
@@ -82,7 +85,7 @@ def perform(
         with contextlib.closing(display), contextlib.closing(results):
             for job, record in results:
                 if isinstance(job.do, MakeLog):
-                    ledger.note_log(job.do.made, record["sha256"])
+                    ledger.note_log(job.do.made, record["prints"])
                     continue
                 written = ledger.write(job, record)
                 display.finished(job.name, job.do.said(written))

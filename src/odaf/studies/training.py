@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from odaf.errors import ConfigError, DivergenceError
 from odaf.studies.identity import LEARNER_VERSIONS, by_name, todays_learner
-from odaf.studies.job import DataEntries, Job, Log, Phase, Record, Work, short_print
+from odaf.studies.job import PRINTS, DataEntries, Job, Log, Phase, Record, Work, prints_of, short_print
 from odaf.studies.logs import LOCAL
 from odaf.studies.task import Task
 
@@ -110,8 +110,8 @@ class Training(Work):
         }
 
     def recorded(self, record: Record, data: DataEntries) -> dict[str, Any]:
-        fingerprint, entry = record["data"]["sha256"], data.get(self.task.name, {"recipe": {}, "sha256": []})
-        known = fingerprint in entry["sha256"]
+        prints, entry = prints_of(record["data"]), data.get(self.task.name, {"recipe": {}, "sha256": []})
+        known = "known" if set(prints) & set(entry["sha256"]) else f"{prints[0][:8]}, not in data.json"
         final = record["final"]
         stated = {
             **({} if final is None else {"final_episodes": final["episodes"]}),
@@ -120,7 +120,7 @@ class Training(Work):
         return {
             **record.get("identity", {}),
             "learner": todays_learner(record["algorithm"]),
-            "data": {"print": "known" if known else f"{fingerprint[:8]}, not in data.json", **entry["recipe"]},
+            "data": {"print": known, **entry["recipe"]},
             "evaluation": stated,
             "seed": record["seed"],
             "steps": record["steps"],
@@ -152,7 +152,11 @@ class Training(Work):
             "steps": self.steps,
             "updates": summary["step"],
             "status": summary["status"],
-            "data": {"origin": LOCAL, "sha256": run.data["sha256"], **self.task.log.figures(run)},
+            "data": {
+                "origin": LOCAL,
+                **{kind: run.data[kind] for kind in PRINTS if kind in run.data},
+                **self.task.log.figures(run),
+            },
             "final": None if summary["status"] == "diverged" else self._final(run, summary["evaluation"]),
             "evaluations": [
                 _evaluation(line) for line in run.files.metrics(self.seed) if "evaluation/return_mean" in line
