@@ -4,10 +4,12 @@ import jax
 import jax.numpy as jnp
 import jax.random as jr
 import numpy as np
+import pytest
 
 from golden import networks, tiny
 from odaf.algorithms.behaviour_cloning import BehaviourCloning, cloning_loss
 from odaf.data.normalisation import Normaliser
+from odaf.errors import ConfigError
 
 
 def _initial(learner: BehaviourCloning):
@@ -67,3 +69,10 @@ def test_there_is_nothing_to_pretrain():
         dataset, Normaliser.fit(dataset.observations), jr.key(0), lambda *_: None
     )
     assert side == () and report == {"warnings": []}
+
+
+def test_what_is_added_to_spreads_reaches_the_normaliser():
+    assert BehaviourCloning(normaliser_epsilon=1e-3).view().normaliser_epsilon == 1e-3
+    assert BehaviourCloning().view().normaliser_epsilon == 0.0
+    with pytest.raises(ConfigError, match="normaliser_epsilon=-1.0 must not be negative"):
+        BehaviourCloning(normaliser_epsilon=-1.0)

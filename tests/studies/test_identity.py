@@ -51,14 +51,31 @@ def test_fields_added_since_with_their_defaults_change_nothing(odaf: dict[str, A
 def test_a_field_that_is_gone_or_has_another_name_needs_a_migration(odaf: dict[str, Any]) -> None:
     removed = odaf | {"momentum": 0.9}
     assert "has no field 'momentum'" in str(todays_learner(removed))
-    assert todays_learner(removed, [Migration("ensemble-sac", "momentum", value=0.9)]) == by_name(odaf)
-    assert todays_learner(removed, [Migration("ensemble-sac", "momentum", value=ANY)]) == by_name(odaf)
-    assert "momentum" in str(todays_learner(removed, [Migration("ensemble-sac", "momentum", value=0.5)]))
-    assert "momentum" in str(todays_learner(removed, [Migration("behaviour-cloning", "momentum", value=0.9)]))
+    assert todays_learner(removed, [Migration("ensemble-sac", "momentum", "removed", 0.9)]) == by_name(odaf)
+    assert todays_learner(removed, [Migration("ensemble-sac", "momentum", "removed", ANY)]) == by_name(odaf)
+    assert "momentum" in str(todays_learner(removed, [Migration("ensemble-sac", "momentum", "removed", 0.5)]))
+    assert "momentum" in str(todays_learner(removed, [Migration("behaviour-cloning", "momentum", "removed", 0.9)]))
 
     term = dict(odaf["terms"][0])
     term["strength"] = term.pop("weight") + 1.0
     renamed = odaf | {"terms": [term]}
-    found = todays_learner(renamed, [Migration("ensemble-sac", "outcome.strength", renamed="weight")])
+    found = todays_learner(renamed, [Migration("ensemble-sac", "outcome.strength", "renamed", "weight")])
     assert isinstance(found, dict) and found["terms"]["outcome"]["weight"] == odaf["terms"][0]["weight"] + 1.0
     assert renamed["terms"][0] is term and "strength" in term  # the record itself is left as it is
+
+
+def test_a_field_whose_default_is_not_what_held_before_is_told_what_did(odaf: dict[str, Any]) -> None:
+    old = {name: value for name, value in odaf.items() if name != "num_critics"}
+    then = [Migration("ensemble-sac", "num_critics", "added", 7)]
+    assert todays_learner(old, then) == by_name(odaf | {"num_critics": 7})
+    assert todays_learner(odaf, then) == by_name(odaf)  # a record that states it is believed
+
+
+def test_records_from_before_there_was_a_choice_had_1e_3_added_to_spreads() -> None:
+    for preset in ("odaf", "behaviour-cloning"):
+        today = config.to_dict(presets.load(preset))
+        old = {name: value for name, value in today.items() if name != "normaliser_epsilon"}
+        assert differences({"learner": todays_learner(old)}, {"learner": by_name(today)}) == [
+            "learner.normaliser_epsilon was 0.001, is 0.0"
+        ]
+    assert todays_learner(old | {"discount": 0.5}) == todays_learner(old)  # it did nothing

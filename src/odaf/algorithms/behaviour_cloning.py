@@ -16,6 +16,8 @@ from odaf.components.policies import DeterministicActor, init_deterministic_acto
 from odaf.components.trained import Trained
 from odaf.data.spec import Spec
 from odaf.data.transitions import Transitions
+from odaf.data.view import View
+from odaf.errors import ConfigError
 
 
 class CloningState(LearnerState):
@@ -35,6 +37,7 @@ class BehaviourCloning(Algorithm[CloningState]):
     """Regression of logged actions on states."""
 
     kind: ClassVar[str] = "behaviour-cloning"
+    structural: ClassVar[frozenset[str]] = frozenset({"normaliser_epsilon"})
 
     hidden_sizes: tuple[int, ...] = (256, 256)
     """Widths of the actor's hidden layers."""
@@ -42,6 +45,17 @@ class BehaviourCloning(Algorithm[CloningState]):
     """Step size of Adam."""
     batch_size: int = 256
     """Transitions a gradient step."""
+    normaliser_epsilon: float = 0.0
+    """Added to the standard deviations that observations are divided by, in their own units (papers 1e-3); 0 makes
+    units of no account."""
+
+    def __post_init__(self) -> None:
+        if self.normaliser_epsilon < 0.0:
+            raise ConfigError(f"normaliser_epsilon={self.normaliser_epsilon} must not be negative")
+
+    def view(self) -> View:
+        """Single rows; rewards do not matter."""
+        return View(normaliser_epsilon=self.normaliser_epsilon)
 
     def init(self, key: PRNGKeyArray, spec: Spec, models: PyTree) -> CloningState:
         """Random actor, fresh optimiser."""

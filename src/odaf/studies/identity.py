@@ -2,12 +2,12 @@
 
 An identity is a nested table. A field that a record does not state, because it was added later, counts as what held
 before: a learner's own default, or what the work declares (`Work.unrecorded`). A field of a learner that was renamed
-or removed needs an entry in `MIGRATIONS`; without one, records that state it are stale, and say so.
+or removed, or added with a default that is not what held before, needs an entry in `MIGRATIONS`.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 from odaf.errors import ConfigError
 
@@ -21,20 +21,25 @@ class Migration:
 
     Attributes:
         kind: the learner, as configurations name it.
-        field: its old name, dotted; a term's field begins with the term's name.
-        renamed: its new name in the same place; None where it is gone.
-        value: the value at which it may go; a record with another one stays stale. `ANY` where it never did anything.
+        field: its name, dotted; of two the old one. A term's field begins with the term's name.
+        what: "renamed"; "removed"; or "added", where the learner's default is not what held before.
+        value: its new name in the same place; the value at which it could go, a record with another one stays stale,
+            or `ANY` where it never did anything; what held before there was a setting.
     """
 
     kind: str
     field: str
-    renamed: str | None = None
-    value: Any = None
+    what: Literal["renamed", "removed", "added"]
+    value: Any
 
 
 ANY = object()
 
-MIGRATIONS: tuple[Migration, ...] = ()
+MIGRATIONS: tuple[Migration, ...] = (
+    Migration("behaviour-cloning", "discount", "removed", ANY),
+    Migration("behaviour-cloning", "normaliser_epsilon", "added", 1e-3),
+    Migration("ensemble-sac", "normaliser_epsilon", "added", 1e-3),
+)
 
 
 def todays_learner(recorded: Mapping[str, Any], migrations: Sequence[Migration] | None = None) -> dict[str, Any] | str:
@@ -110,8 +115,9 @@ def _apply(migration: Migration, fields: dict[str, Any]) -> None:
         place = terms.get(part, place.get(part)) if place is fields else place.get(part)
         if not isinstance(place, dict):
             return
-    if name not in place or (migration.renamed is None and migration.value not in (ANY, place[name])):
-        return
-    value = place.pop(name)
-    if migration.renamed is not None:
-        place[migration.renamed] = value
+    if migration.what == "added":
+        place.setdefault(name, migration.value)
+    elif name in place and migration.what == "renamed":
+        place[migration.value] = place.pop(name)
+    elif name in place and migration.value in (ANY, place[name]):
+        del place[name]

@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Sequence
 from typing import Any
 
+from odaf.studies.first_form import COMMON, first_form
 from odaf.studies.job import Phase, Record, Study
 from odaf.studies.logs import LOCAL, RecordedLog
 from odaf.studies.tables import grouped
@@ -47,7 +48,7 @@ def locomotion_task(name: str) -> Task:
         RecordedLog(name, transitions=200_000),
         Evaluation(every=5_000, episodes=10, final_episodes=FINAL_EPISODES),
         score="normalised_score",
-        common=(("hidden_sizes", (256, 256)),),
+        common=(("hidden_sizes", (256, 256)), *COMMON),
     )
 
 
@@ -56,7 +57,11 @@ def plan() -> list[Phase]:
 
     def runs(methods: Iterable[Method], task: str, steps: int = STEPS, seeds: int = SEEDS) -> list[Training]:
         whole, methods = locomotion_task(task), tuple(methods)
-        return [Training(preset, whole, seed, steps, changes) for seed in range(seeds) for preset, changes in methods]
+        return [
+            Training(preset, whole, seed, steps, changes, first_form(preset))
+            for seed in range(seeds)
+            for preset, changes in methods
+        ]
 
     return phases_of(
         ("Hopper: our default beside behaviour cloning", runs(DEFAULT, HOPPER)),

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from operator import itemgetter
 from typing import Any
 
+from odaf.studies.first_form import first_form
 from odaf.studies.job import Phase, Record, Study
 from odaf.studies.locomotion import FINAL_EPISODES, HOPPER, locomotion_task
 from odaf.studies.logs import LOCAL
@@ -32,6 +33,7 @@ def plan() -> list[Phase]:
                 seed,
                 STEPS,
                 (("num_critics", critics), ("outcome.weight", weight)),
+                first_form(preset),
                 notes=(("critics", critics), ("weight", weight)),
             )
             for seed in seeds

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from odaf.studies.first_form import COMMON, first_form
 from odaf.studies.job import Phase, Record, Study
 from odaf.studies.logs import LOCAL, MazeLog
 from odaf.studies.tables import grouped
@@ -18,14 +19,17 @@ EPISODES = 50
 
 def maze_task(maze: str) -> Task:
     """Finding the good path of a maze from the log of drivers who never took it."""
-    return Task(MazeLog(maze, episodes=EPISODES), Evaluation(every=5_000, episodes=EPISODES), field="maze")
+    return Task(
+        MazeLog(maze, episodes=EPISODES), Evaluation(every=5_000, episodes=EPISODES), field="maze", common=COMMON
+    )
 
 
 def plan() -> list[Phase]:
     """Our default beside its base and cloning first, what is costly last."""
 
     def runs(preset: str, maze: str, seeds: int, steps: int, **changes: Any) -> list[Training]:
-        return [Training(preset, maze_task(maze), seed, steps, tuple(changes.items())) for seed in range(seeds)]
+        task, form = maze_task(maze), first_form(preset)
+        return [Training(preset, task, seed, steps, tuple(changes.items()), form) for seed in range(seeds)]
 
     return phases_of(
         (

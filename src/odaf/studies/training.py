@@ -27,6 +27,7 @@ class Training(Work):
         seed: of the training.
         steps: updates to make.
         changes: settings other than the preset's and the task's, by dotted name.
+        form: settings that keep the preset in the form that the study is about; no part of the method's name.
         notes: further entries of the record, for a study's tables.
         checkpoint_every: updates between two checkpoints; a run that is stopped loses no more.
     """
@@ -36,6 +37,7 @@ class Training(Work):
     seed: int
     steps: int
     changes: tuple[tuple[str, Any], ...] = ()
+    form: tuple[tuple[str, Any], ...] = ()
     notes: tuple[tuple[str, Any], ...] = ()
     checkpoint_every: int = 5_000
 
@@ -90,11 +92,11 @@ class Training(Work):
 
     def learner(self) -> Any:
         """The preset with its values for the task, where it has some, then what the task's learners share, then the
-        changes."""
+        form, then the changes."""
         from odaf.runs import presets
 
         task = self.task.name if self.task.name in presets.tasks(self.preset) else None
-        return presets.load(self.preset, {**dict(self.task.common), **dict(self.changes)}, task=task)
+        return presets.load(self.preset, {**dict(self.task.common), **dict(self.form), **dict(self.changes)}, task=task)
 
     def identity(self) -> dict[str, Any]:
         from odaf.algorithms import config
