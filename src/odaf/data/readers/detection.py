@@ -8,7 +8,7 @@ from pathlib import Path
 import h5py
 
 from odaf.data import storage
-from odaf.data.readers import d4rl, hdf5, minari, numpy_files, ogbench
+from odaf.data.readers import d4rl, hdf5, minari, numpy_files, ogbench, table_files
 from odaf.errors import DatasetError
 
 _UNPACK = ((b"\x1f\x8b", "gzip"), (b"BZh", "bzip2"), (b"\xfd7zXZ\x00", "xz"), (b"\x28\xb5\x2f\xfd", "zstd"))
@@ -181,9 +181,12 @@ def _folder(path: Path, source: str) -> str:
     if marks:
         return next(iter(marks))
     entries = sorted(entry.name for entry in path.iterdir())
+    if (tables := table_files.table_files(path)) is not None:
+        return tables[0]
     raise DatasetError(
         f"{source}: is a folder of no known layout: neither Minari's (data/{minari.MAIN_FILE} or data/metadata.json "
-        f"with folders 0, 1, ...) nor LeRobot's (meta/info.json); it has {hdf5.shown(entries)}: name the file inside it"
+        "with folders 0, 1, ...) nor LeRobot's (meta/info.json), nor with CSV or Parquet files in it; it has "
+        f"{hdf5.shown(entries)}: name the file inside it"
     )
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import polars as pl
 
 from odaf.data.log import Log
-from odaf.data.readers import table_sources, tables
+from odaf.data.readers import table_files, table_sources, tables
 from odaf.data.readers.row_order import RATE_TOLERANCE, OnGap
 from odaf.data.readers.table_cells import OnMissing
 from odaf.data.readers.table_meaning import Meaning
@@ -72,7 +72,7 @@ def read(
     path = Path(path)
     source = os.fspath(path)
     info = _info(path, source)
-    files = sorted(path.glob("data/chunk-*/*.parquet"))
+    files = sorted(file for file in path.glob("data/chunk-*/*.parquet") if not table_files.is_companion(file.name))
     if not files:
         raise DatasetError(f"{source}: holds no data/chunk-*/*.parquet; name the folder that has 'data' and 'meta'")
     names = table_sources.parquet_table(files[0]).names

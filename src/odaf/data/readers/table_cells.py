@@ -3,7 +3,7 @@
 Each refusal names the table, the column, the rows and the remedy.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Literal, NoReturn
 
@@ -31,6 +31,7 @@ class Cells:
         parsed: whether text may stand for numbers, flags and times, as in CSV.
         decimal_comma: whether such text writes 1,5 for one and a half.
         units_row: whether the first row may turn out to hold units, which the message then says.
+        place: names a row by its file too, given its place in the column.
     """
 
     source: str
@@ -40,6 +41,7 @@ class Cells:
     parsed: bool = False
     decimal_comma: bool = False
     units_row: bool = False
+    place: Callable[[int], str] | None = None
 
 
 @dataclass
@@ -132,7 +134,9 @@ def refuse(cells: Cells, rows: np.ndarray, fact: str, *remedies: str) -> NoRetur
     value = cells.values[index]
     if isinstance(value, pl.Series):
         value = value.to_list()
-    shown = "" if value is None else f" ({_short(repr(value))})"
+    details = [] if value is None else [_short(repr(value))]
+    details += [] if cells.place is None else [cells.place(index)]
+    shown = f" ({', '.join(details)})" if details else ""
     raise DatasetError(
         f"{cells.source}: column '{cells.name}' {fact} in {name_rows(rows, cells.numbers)}{shown}", remedies=remedies
     )

@@ -33,6 +33,7 @@ class Table:
         missing_values: what stands for a missing value in any cell, see `table_cells.without`.
         facts: what else is known of the source, for the provenance.
         units: by column name, where the headings gave them.
+        place: names a row by its file too, given its place in the table; None where the number says enough.
         parts: by the name of a column of lists, the names of the numbers in its lists, where the source has them.
     """
 
@@ -48,6 +49,7 @@ class Table:
     missing_values: tuple[str, ...] = ()
     facts: Mapping[str, Any] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
+    place: Callable[[int], str] | None = None
     parts: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
     @property
@@ -72,7 +74,9 @@ class Table:
             values = without(values, self.missing_values)
         # Text in which the caller expects words for missing values is text that stands for something else.
         parsed = self.parsed or bool(self.missing_values)
-        return Cells(self.source, name, values, self.row_numbers, parsed, self.decimal_comma, self.units_row)
+        return Cells(
+            self.source, name, values, self.row_numbers, parsed, self.decimal_comma, self.units_row, self.place
+        )
 
     def require(self, wanted: Iterable[str]) -> None:
         """Raises unless every name is that of exactly one column; the message lists those there are."""

@@ -13,11 +13,20 @@ from typing import Any
 
 from odaf.data.expressions import Expression
 from odaf.data.log import Log
-from odaf.data.readers import table_columns, table_csv, table_frames, table_rows, table_sources
+from odaf.data.readers import (
+    table_columns,
+    table_csv,
+    table_files,
+    table_folder,
+    table_frames,
+    table_rows,
+    table_sources,
+)
 from odaf.data.readers.row_order import OnGap
 from odaf.data.readers.table_cells import OnMissing
 from odaf.data.readers.table_columns import TableRows
 from odaf.data.readers.table_csv import Dialect
+from odaf.data.readers.table_files import Kind
 from odaf.data.readers.table_meaning import Meaning, Units
 from odaf.data.readers.table_sources import Table
 from odaf.data.validation import Bounds
@@ -52,13 +61,17 @@ def read(
     skip_rows: int = 0,
     units_row: bool = False,
 ) -> Log:
-    """The log in a CSV or Parquet file; which of the two is told from its first bytes and its name.
+    """The log in a CSV or Parquet file, or in a folder of either; which of the two is told from first bytes and name.
 
     Messages number the rows of a CSV file as a spreadsheet does, the headings being row 1, those of a Parquet file
     from 0. A column whose cells hold lists of one length stands for one column a number, `name_0`, `name_1` and so on.
 
+    The files of a folder count as one table, in the order of their names, the second before the tenth; what other
+    programs leave beside them (`_SUCCESS`, `.DS_Store`, checksums) is passed over. Their rows are numbered from 0
+    through all files, and a further column, `file`, says which one each lies in, as for `episode="file"`.
+
     Args:
-        path: the file.
+        path: the file or folder.
         observations: columns that say what was seen before the action. An entry such as `level_error = level -
             setpoint` is computed (`odaf.data.expressions`).
         actions: columns that say what was done.
@@ -122,15 +135,15 @@ def read(
     )
     meaning.check(source)
     dialect = Dialect(separator, decimal_comma, encoding, skip_rows, units_row)
-    if not _is_parquet(path):
-        return build(_csv(path, meaning, dialect), meaning)
-    if dialect != Dialect():
-        raise DatasetError(
-            f"{source}: separator=, decimal_comma=, encoding=, skip_rows= and units_row= apply to CSV files, this is a "
-            "Parquet file; leave them out"
-        )
-    table = replace(table_sources.parquet_table(path), missing_values=tuple(missing_values))
-    return build(table_sources.with_units(table) if units == "headings" else table, meaning)
+    if path.is_dir():
+        kind, files = table_files.table_files(path) or ("csv", [])
+        if not files:
+            raise DatasetError(f"{source}: is a folder without CSV or Parquet files; name a file or another folder")
+        _refuse_dialect(source, kind, dialect)
+        return build(table_folder.joined(path, files, lambda file: _table(file, kind, meaning, dialect, True)), meaning)
+    kind = "parquet" if _is_parquet(path) else "csv"
+    _refuse_dialect(source, kind, dialect)
+    return build(_table(path, kind, meaning, dialect, False), meaning)
 
 
 def from_frame(
@@ -241,15 +254,30 @@ def _roles(meaning: Meaning) -> dict[str, Any]:
     return {field: value if isinstance(value, (str, int, float)) else list(value) for field, value in given.items()}
 
 
-def _csv(path: Path, meaning: Meaning, dialect: Dialect) -> Table:
+def _refuse_dialect(source: str, kind: Kind, dialect: Dialect) -> None:
+    if kind == "parquet" and dialect != Dialect():
+        raise DatasetError(
+            f"{source}: separator=, decimal_comma=, encoding=, skip_rows= and units_row= apply to CSV files, this is a "
+            "Parquet file; leave them out"
+        )
+
+
+def _table(path: Path, kind: Kind, meaning: Meaning, dialect: Dialect, in_folder: bool) -> Table:
+    """The table in one file; of those in a folder, the column `file` comes from elsewhere."""
     source = os.fspath(path)
+    in_headings = meaning.units == "headings"
 
     def resolve(names: tuple[str, ...]) -> tuple[Sequence[str], Sequence[str]]:
-        roles = meaning.roles(source, names)
-        return roles.columns, roles.direct
+        further = (table_folder.FILE,) if in_folder and table_folder.FILE not in names else ()
+        roles = meaning.roles(source, (*names, *further))
+        return [name for name in roles.columns if name not in further], roles.direct
 
-    headings = meaning.units == "headings"
-    table = table_csv.csv_table(path, meaning.hints(), resolve, dialect, units_in_headings=headings)
+    if kind == "csv":
+        table = table_csv.csv_table(path, meaning.hints(), resolve, dialect, units_in_headings=in_headings)
+    else:
+        table = table_sources.parquet_table(path)
+        table = table_sources.with_units(table) if in_headings else table
+        resolve(table.names)
     return replace(table, missing_values=tuple(meaning.missing_values))
 
 
