@@ -141,6 +141,59 @@ def attempt(read) -> bool:
     return True
 
 
+def changed_options(rng: np.random.Generator, form: str) -> dict[str, object]:
+    """What a caller may ask of a table; some of it fits the roles, some does not."""
+    choices: list[dict[str, object]] = [
+        {"on_missing": "nan"},
+        {"on_missing": "break"},
+        {"missing_values": ["Bad", "-3", "nan", ""]},
+        {"time": None},
+        {"lags": int(rng.integers(0, 8))},
+        {"differences": True},
+        {"reward": "1 - abs(level - flow) / valve"},
+        {"observations": ["level", "error = level - flow", "root = sqrt(error)"]},
+        {"sort_by": [str(name) for name in rng.choice(["batch", "time", "level", "note", "profit"], 2)]},
+        {"infos": ["note", "profit", "time"][: int(rng.integers(1, 4))]},
+        {"episode": "note" if rng.random() < 0.5 else 0},
+        {"units": "headings"},
+        {"next_observations": ["flow", "level"]},
+    ]
+    if form == "csv":
+        choices += [{"units_row": True}, {"decimal_comma": True}, {"skip_rows": 1}, {"encoding": "latin-1"}]
+    options: dict[str, object] = {}
+    for _ in range(rng.integers(0, 4)):
+        options |= choices[rng.integers(len(choices))]
+    return options
+
+
+def changed_text(rng: np.random.Generator, content: bytes) -> bytes:
+    """Lines and cells as other programs write them."""
+    lines = content.decode().splitlines()
+    for _ in range(rng.integers(0, 4)):
+        place = int(rng.integers(len(lines)))
+        words = ["", "Bad", "1,5", "2.000e+00", "True", "#NV", "NaN", " 3 ", "9" * 30, "-0", "inf", "1 days 00:00:01"]
+        word = str(rng.choice(words))
+        kind = rng.integers(5)
+        if kind == 0:
+            lines.insert(place, str(rng.choice(["", ",,,,,,,", "  ", "sep=,", "s,m,-,-,%,EUR,-,-", '"'])))
+        elif kind == 1 and lines[place]:
+            cells = lines[place].split(",")
+            cells[rng.integers(len(cells))] = word
+            lines[place] = ",".join(cells)
+        elif kind == 2:
+            lines = [line.replace(",", ";").replace(".", ",") for line in lines]
+        elif kind == 3 and len(lines[0].split(",")) > 1:
+            column = int(rng.integers(len(lines[0].split(","))))
+            rows = [line.split(",") for line in lines]
+            lines = [
+                ",".join([*row[:column], word, *row[column + 1 :]]) if n else ",".join(row)
+                for n, row in enumerate(rows)
+            ]
+        else:
+            lines.insert(0, "sep=;" if rng.random() < 0.5 else "")
+    return "\n".join([*lines, ""]).encode()
+
+
 def fuzz_file(form: str, count: int, folder) -> int:
     """Mutates a table `count` times, half of them as bytes; returns how many still gave a dataset."""
     path, sound = folder / f"log.{form}", 0
@@ -148,10 +201,12 @@ def fuzz_file(form: str, count: int, folder) -> int:
         rng = np.random.default_rng(seed)
         if seed % 2:
             save(changed_frame(rng, tank()), path)
+            if form == "csv" and seed % 4 == 1:
+                path.write_bytes(changed_text(rng, path.read_bytes()))
         else:
             save(tank(), path)
             path.write_bytes(changed_bytes(rng, path.read_bytes()))
-        options = {} if rng.random() < 0.5 else {"on_missing": "nan"} if rng.random() < 0.5 else {"time": None}
+        options = changed_options(rng, form)
         sound += attempt(lambda options=options: tables.read(path, **{**ROLES, **options}))
     return sound
 
@@ -163,7 +218,8 @@ def fuzz_frame(form: str, count: int, folder) -> int:
         rng = np.random.default_rng(seed)
         frame = changed_frame(rng, tank())
         whole = frame if seed % 2 else {name: frame[name].to_numpy() for name in frame.columns}
-        sound += attempt(lambda whole=whole: tables.from_frame(whole, **ROLES))
+        options = {**ROLES, **changed_options(rng, form)}
+        sound += attempt(lambda whole=whole, options=options: tables.from_frame(whole, **options))
     return sound
 
 
