@@ -46,16 +46,26 @@ def make_runs() -> None:
         )
 
 
+# On these pages the commands are part of the program: they run between the blocks of Python.
+WITH_COMMANDS = (ROOT / "docs" / "tutorials" / "plant.md",)
+
+
 @pytest.mark.parametrize("page", [p for p in PAGES if blocks(p, "python")], ids=lambda p: str(p.relative_to(ROOT)))
-def test_python_examples_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_examples_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """The blocks of one page are one program, run where it can leave files."""
     monkeypatch.chdir(tmp_path)
     names: dict[str, object] = {"__name__": "example"}
     if any('Path("runs/odaf")' in text for _, text in blocks(page, "python")):
         make_runs()
-    for line, text in blocks(page, "python"):
-        # Blank lines in front make a traceback name the line of the page.
-        exec(compile("\n" * (line - 1) + text, str(page), "exec"), names)
+    program = [(line, text, None) for line, text in blocks(page, "python")]
+    if page in WITH_COMMANDS:
+        program += [(line, "", words) for line, words in commands(page)]
+    for line, text, words in sorted(program, key=lambda part: part[0]):
+        if words is not None:
+            assert main([*words, "--no-compilation-cache"] if words[0] == "train" else words) == 0, f"{page}:{line}"
+        else:
+            # Blank lines in front make a traceback name the line of the page.
+            exec(compile("\n" * (line - 1) + text, str(page), "exec"), names)
 
 
 def test_the_readme_has_an_example_and_it_is_short():
