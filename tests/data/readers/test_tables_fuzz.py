@@ -160,8 +160,8 @@ def changed_options(rng: np.random.Generator, form: str) -> dict[str, object]:
     ]
     if form == "csv":
         choices += [{"units_row": True}, {"decimal_comma": True}, {"skip_rows": 1}, {"encoding": "latin-1"}]
-    options: dict[str, object] = {}
-    for _ in range(rng.integers(0, 4)):
+    options: dict[str, object] = {"on_missing": "break"} if rng.random() < 0.5 else {}
+    for _ in range(rng.choice([0, 0, 1, 1, 2, 3])):
         options |= choices[rng.integers(len(choices))]
     return options
 
