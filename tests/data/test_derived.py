@@ -178,6 +178,7 @@ def test_what_is_missing_at_work_is_named():
         ({"reward": "cost"}, "frame: column 'cost' not found"),
         ({"lags": -1}, "lags is -1; give the number of earlier rows"),
         ({"lags": 20}, "no episode is longer than 20 rows"),
+        ({"lags": 1_000}, "no episode is longer than 1000 rows"),
         (
             {"observations": ["x = 1 / (level - level)"]},
             r"expression 'x = 1 / .*' is infinite in 60 of 60 rows.*level 0.1257",

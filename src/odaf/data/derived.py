@@ -250,5 +250,5 @@ def computed(parts: Sequence[tuple[str, Expression | None]], readings: Mapping[s
 def _delayed(values: np.ndarray, lag: int) -> np.ndarray:
     """Each row's values of `lag` rows before; zero where there are none."""
     result = np.zeros_like(values)
-    result[lag:] = values[: len(values) - lag]
+    result[lag:] = values[: max(len(values) - lag, 0)]
     return result

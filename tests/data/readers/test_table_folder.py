@@ -111,6 +111,11 @@ def test_companions_beside_the_files_of_a_lerobot_folder(tmp_path: Path):
     pl.DataFrame({**columns, "episode_index": index // 4, "frame_index": index % 4}).write_parquet(
         data / "file-000.parquet"
     )
+    listed = {"episode_index": [[episode] for episode in index // 4], "frame_index": index % 4}
+    pl.DataFrame({**columns, **listed}).write_parquet(data / "file-001.parquet")
+    with pytest.raises(DatasetError, match="differ in type|column 'episode_index' holds cells of type List"):
+        lerobot.read(tmp_path / "arm")
+    (data / "file-001.parquet").unlink()
     for name in ("._file-000.parquet", ".DS_Store", "_SUCCESS"):
         (data / name).write_bytes(b"\x00")
     assert len(lerobot.read(tmp_path / "arm")) == 8

@@ -148,6 +148,8 @@ def _joined(files: Sequence[Path], source: str, names: Sequence[str]) -> pl.Data
         table.require(names)
         with table_sources.reading(table.source):
             frames.append(pl.read_parquet(file, columns=list(names), glob=False, hive_partitioning=False))
+        if frames[-1][EPISODE].dtype.is_nested():
+            continue  # no ids; the table reader says so
         for episode in frames[-1][EPISODE].unique().to_list():
             home = homes.get(episode)
             before = frames[-2][EPISODE] if len(frames) > 1 else frames[-1][EPISODE].clear()
