@@ -144,8 +144,9 @@ def test_a_memory_cannot_be_forgotten_or_swapped_by_mistake(policy):
     for ask in (remembering, lambda rows: remembering.sample(rows, 0)):
         with pytest.raises(ConfigError, match="has a memory.*policy.begin"):
             ask(np.zeros(3, np.float32))
-    with pytest.raises(DatasetError, match=r"carry: belongs to \{2\} episodes, and 3 observations"):
-        remembering.act(remembering.begin(2), np.zeros((3, 3), np.float32))
+    for carry in (remembering.begin(2), ()):
+        with pytest.raises(DatasetError, match=r"carry: is not that of 3 episodes.*policy.begin\(3\)"):
+            remembering.act(carry, np.zeros((3, 3), np.float32))
     rows = np.ones((4, 3), np.float32)
     actions, carry = policy.act(policy.begin(4), rows)
     assert not policy.has_memory and policy.observe(carry, np.zeros(4)) == ()
