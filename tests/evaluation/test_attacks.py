@@ -240,7 +240,7 @@ SPEC = Spec(
 
 
 def _trained(learner) -> tuple[Policy, Judge | None]:
-    state, names = learner.init(jr.key(0), SPEC, ()), ("a", "b", "c")
+    state, names = learner.init(jr.key(0), SPEC, learner.untrained(jr.key(1), SPEC)), ("a", "b", "c")
     normaliser = Normaliser(np.asarray(MEAN), np.asarray(STD), 1e-3)
     bounds = SPEC.action_low, SPEC.action_high
     policy = Policy(learner.actor(state), normaliser, *bounds, names, provenance={"learner": learner.kind})

@@ -39,7 +39,8 @@ def untrained_run(
     record = run_writing.data_record(dataset, normaliser, data, directory)
     run = run_writing.begin(directory, config, plain(record), process_record(1, "default"), dataset)
     for seed in seeds:
-        state = learner.init(jr.key(seed), dataset.spec(), ())
+        spec = dataset.spec()
+        state = learner.init(jr.key(seed), spec, learner.untrained(jr.key(seed), spec))
         summary = {"seed": seed, "step": 0, "status": "finished", "evaluation": None, "warnings": []}
         checkpoints.save(run.seed_directory(seed) / "checkpoints", 0, state, {"seed": seed, "summary": summary})
     return directory

@@ -113,7 +113,7 @@ def test_a_policy_is_attacked_as_it_is_deployed_with_the_critics_of_the_same_che
     run = RunDirectory(untrained_run(tmp_path / "run", learner, dataset_of(4, 2, ENVIRONMENT), (0,)))
     state = run.state(0)
     policy, judge = run.policy(0), Judge.of(run, 0)
-    for found, wanted in ((policy.actor, state.slow_actor), (judge.critics, state.critics)):
+    for found, wanted in ((policy.actor, state.slow_actor), (judge.critics, state.online_critics)):
         tiny.assert_same_bits(found, wanted)
     assert (judge.action_low, judge.action_high) == (run.spec.action_low, run.spec.action_high)
     np.testing.assert_array_equal(judge.scale, run.normaliser.scale)
