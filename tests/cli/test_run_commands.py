@@ -111,6 +111,39 @@ def test_resume_makes_a_run_longer(data: Path, tmp_path: Path, capsys: pytest.Ca
     assert capsys.readouterr().out.count("finished") == 2
 
 
+def test_resume_is_told_where_the_data_are_and_may_leave_the_evaluation_out(
+    data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    out, moved = tmp_path / "run", tmp_path / "moved.h5"
+    log = tmp_path / "log.h5"
+    log.write_bytes(data.read_bytes())
+    words = ["train", "behaviour-cloning", "--data", str(log), "--out", str(out), "--episodes", "1"]
+    assert main([*words, "--steps", "3", "--evaluate-every", "2", "--keep-checkpoints", "1", "0", *CLONING]) == 0
+    log.rename(moved)
+    assert main(["resume", str(out), "--steps", "6", "--quiet"]) == 2
+    assert "--data FILE" in capsys.readouterr().err
+    words = ["resume", str(out), "--quiet", "--data", str(moved)]
+    assert main([*words, "--steps", "6", "--no-evaluation"]) == 0
+    run = odaf.load_run(out)
+    assert run.config["evaluate"] is None and run.summary[0]["evaluation"]["step"] == 3
+    assert [checkpoint.step for checkpoint in run.checkpoints()] == [6]
+    assert main([*words, "--no-evaluation", "--episodes", "2"]) == 2
+    assert "--no-evaluation: leaves nothing" in capsys.readouterr().err
+    assert main([*words, "--episodes", "2"]) == 0  # evaluated after all, where it stands
+    assert odaf.load_run(out).summary[0]["evaluation"]["episodes"] == 2
+    assert main(["evaluate", str(out), "--step", "3"]) == 2
+    assert "this run keeps the last 1; --keep-checkpoints all" in capsys.readouterr().err
+
+
+def test_train_with_the_wrong_environment_stops_before_anything_is_written(
+    data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    words = ["train", "behaviour-cloning", "--data", str(data), "--out", str(tmp_path / "run"), "--env", "Hopper-v5"]
+    assert main([*words, "--steps", "3", *CLONING]) == 2
+    assert "Hopper-v5: its actions have shape (3,), the data's (2,)" in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()
+
+
 def test_evaluate_prints_and_writes_scores(run_directory: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     file = tmp_path / "scores.json"
     assert main(["evaluate", str(run_directory), "--episodes", "3", "--seed", "5", "--json", str(file)]) == 0

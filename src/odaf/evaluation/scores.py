@@ -50,8 +50,12 @@ class Scores:
     notes: tuple[str, ...] = ()
 
     def estimate(self, confidence: float = 0.95) -> Estimate:
-        """Mean over seeds of their mean returns, spread over seeds, and Student's interval."""
-        return t_interval([score.mean_return for score in self.by_seed], confidence)
+        """Mean over seeds of their mean returns, spread over seeds, and Student's interval; all NaN where a seed has no
+        sound episode."""
+        means = [score.mean_return for score in self.by_seed]
+        if not all(map(math.isfinite, means)):
+            return Estimate(math.nan, math.nan, math.nan, math.nan, confidence, len(means))
+        return t_interval(means, confidence)
 
     @property
     def mean(self) -> float:

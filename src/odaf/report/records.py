@@ -32,7 +32,7 @@ class Evaluation:
         episodes: their number, 0 where the run does not tell.
         success_rate: share that reached the target, `None` where the environment reports no success.
         stitched_rate: share that reached the target without a logged detour, `None` where there is no such flag.
-        returns: [episodes] each episode's return, `None` where the run does not tell.
+        returns: [episodes] each sound episode's return, `None` where the run does not tell.
     """
 
     step: int
@@ -102,7 +102,7 @@ class SeedRecord:
             episodes=int(entry.get("episodes") or (len(returns) if returns else 0)),
             success_rate=optional(entry.get("success_rate")),
             stitched_rate=optional(entry.get("stitched_rate")),
-            returns=np.asarray(returns, np.float64) if returns else None,
+            returns=_sound(returns) if returns else None,
         )
 
     def _logged_evaluation(self) -> Evaluation | None:
@@ -124,7 +124,9 @@ class SeedRecord:
         if self.episodes is None or "returns" not in self.episodes[1]:
             return None
         step, arrays = self.episodes
-        returns = np.asarray(arrays["returns"], np.float64)
+        returns = _sound(arrays["returns"])
+        if not returns.size:
+            return None
         rates = {name: float(np.mean(arrays[name])) if name in arrays else None for name in ("success", "stitched")}
         return Evaluation(
             step,
@@ -280,6 +282,12 @@ def read_run(directory: Path) -> RunRecord:
             if files.seed_directory(seed).is_dir()
         ),
     )
+
+
+def _sound(returns: Any) -> np.ndarray:
+    """The returns of the episodes that did not break off on a number that is not finite."""
+    values = np.asarray(returns, np.float64)
+    return values[np.isfinite(values)]
 
 
 def number(value: Any) -> float:
