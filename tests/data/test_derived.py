@@ -10,6 +10,7 @@ import pytest
 
 from odaf.data import Dataset
 from odaf.data.derived import Derivation
+from odaf.data.mixing import mix
 from odaf.data.readers import tables
 from odaf.errors import DatasetError
 
@@ -133,7 +134,16 @@ def test_the_recipes_go_with_the_data(tmp_path: Path):
     dataset = Dataset.from_log(read(lags=1))
     dataset.save(tmp_path / "log.h5")
     train, _ = Dataset.load(tmp_path / "log.h5").split(0.4)
-    for provenance in (dataset.provenance, train.provenance):
+    mixed = mix(dataset, dataset, 0.5)
+    with pytest.raises(DatasetError, match="the two differ in what observations are made of"):
+        mix(
+            dataset,
+            Dataset.from_log(
+                read(observations=["level", *FORMULAS[:2], "hot = temperature > 19", "temperature"], lags=1)
+            ),
+            0.5,
+        )
+    for provenance in (dataset.provenance, train.provenance, mixed.provenance):
         derivation = Derivation.from_provenance(provenance)
         assert derivation is not None and derivation.lags == 1 and derivation.names == dataset.observation_names
     assert Derivation.from_provenance(Dataset.from_log(read(observations=["level"])).provenance) is None

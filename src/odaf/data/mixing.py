@@ -147,6 +147,7 @@ def _require_same_task(expert: Dataset, other: Dataset) -> None:
         *((name.replace("_", " "), getattr(expert, name), getattr(other, name)) for name in COMMON),
         ("lowest action", expert.action_low.tolist(), other.action_low.tolist()),
         ("highest action", expert.action_high.tolist(), other.action_high.tolist()),
+        ("what observations are made of", expert.provenance.get("derived", []), other.provenance.get("derived", [])),
     ):
         if left != right:
             raise DatasetError(
@@ -181,4 +182,6 @@ def _provenance(
     expert, other = parts
     if expert.environment is not None and expert.environment == other.environment:
         provenance["environment"] = expert.environment
+    if "derived" in expert.provenance:
+        provenance["derived"] = expert.provenance["derived"]
     return provenance
