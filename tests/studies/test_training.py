@@ -85,7 +85,7 @@ def test_normalised_records_go_on_after_a_stop_with_the_same_bits(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out, work, other = tmp_path / "results", tmp_path / "work", tmp_path / "other"
-    first, second = cloning(HOPPER, 0, 4), cloning(HOPPER, 1, 4)
+    first, second = cloning(HOPPER, 0, 4), cloning(HOPPER, 1, 6)
     evaluate = RolloutEvaluator.__call__
 
     def stop_late(self: RolloutEvaluator, policy: Any, directory: Path, step: int) -> Any:
@@ -110,7 +110,7 @@ def test_normalised_records_go_on_after_a_stop_with_the_same_bits(
     assert record["data"]["mean_return"] == logged.provenance["statistics"]["mean"]
 
     (half,) = [path for path in (second.directory(work) / "seed-1" / "checkpoints").iterdir() if int(path.name) == 2]
-    assert second.amount_done(work) == 2.0
+    assert second.amount_done(work) == 4.0  # saved before it was evaluated
     made = half.stat().st_ctime_ns
     measure([[first, second]], out, work)
     assert finished.stat().st_mtime_ns == stamp
@@ -130,7 +130,7 @@ def test_a_lost_run_is_recorded_without_the_score_of_an_earlier_checkpoint(
         directory=tmp_path,
         data={"sha256": "ab", "summary": dict.fromkeys(("transitions", "episodes", "mean_return", "best_return"), 1)},
         config={"algorithm": {}, "steps": 10},
-        metrics=lambda seed: [],
+        files=SimpleNamespace(metrics=lambda seed: []),
     )
 
     def diverge(*arguments: Any, **settings: Any) -> None:
