@@ -9,7 +9,7 @@ STAMP := $(VENV)/.installed
 WORKERS ?= 2
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: help demo test test-all lint format bench docs clean
+.PHONY: help demo test test-all lint format refusals bench docs clean
 .DEFAULT_GOAL := help
 
 help: ## Say what each target does
@@ -42,6 +42,9 @@ test-all: lint ## The same, with the slow tests
 format: $(STAMP) ## Rewrite files in the house style
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
+
+refusals: $(STAMP) ## Write the page of all refusals and their remedies from the code
+	$(BIN)/python -m tools.refusals
 
 bench: $(STAMP) ## Time the parts that matter; prints one figure a line
 	$(BIN)/python -m benchmarks

@@ -51,6 +51,24 @@ def test_minari_and_back(tmp_path: Path):
     assert [entry.name for entry in tmp_path.iterdir()] == ["walk"]
 
 
+def test_minari_keeps_the_environment_with_its_limit_settings_and_wrappers(tmp_path: Path):
+    own = {
+        "name": "gymnasium",
+        "id": "Pendulum-v1",
+        "kwargs": {"g": 3.0},
+        "max_episode_steps": 20,
+        "wrappers": [{"name": "RescaleAction", "kwargs": {"min_action": -1.0, "max_action": 1.0}}],
+    }
+    convert.to_minari(walk(1).with_provenance(environment=own), tmp_path / "walk")
+    assert Dataset.load(tmp_path / "walk").environment == own
+    plain = {"name": "gymnasium", "id": "Pendulum-v1", "kwargs": {}}
+    convert.to_minari(walk(1).with_provenance(environment=plain), tmp_path / "plain")
+    assert Dataset.load(tmp_path / "plain").environment == {**plain, "max_episode_steps": 200}
+    other = {"name": "gymnasium", "id": "Hopper-v5", "kwargs": {}, "contact_margins": "larger"}
+    convert.to_minari(walk(1).with_provenance(environment=other), tmp_path / "other")
+    assert Dataset.load(tmp_path / "other").environment is None
+
+
 def test_minari_itself_reads_the_folder(tmp_path: Path):
     minari = pytest.importorskip("minari")
     original = walk(1)

@@ -161,12 +161,23 @@ def _box(low: list[float], high: list[float]) -> str:
 
 
 def _environment_spec(environment: dict[str, Any] | None) -> str | None:
-    """The environment as Minari names it, where it is one of gymnasium's and gymnasium is there to describe it."""
-    if environment is None or environment.get("name") != "gymnasium" or environment.get("kwargs"):
+    """The environment as Minari names it, where it is one of gymnasium's and gymnasium is there to describe it.
+
+    Minari has no words for a rule for contact margins; an environment that has one is not named.
+    """
+    if environment is None or environment.get("name") != "gymnasium" or "contact_margins" in environment:
         return None
     try:
-        import gymnasium
+        import gymnasium.wrappers
 
-        return gymnasium.spec(environment["id"]).to_json()
+        spec = json.loads(gymnasium.spec(environment["id"]).to_json())
+        kinds = [getattr(gymnasium.wrappers, wrapper["name"]) for wrapper in environment.get("wrappers", ())]
     except Exception:  # not installed, or an id it does not know: the data are complete without
         return None
+    spec["kwargs"] = {**spec["kwargs"], **(environment.get("kwargs") or {})}
+    spec["max_episode_steps"] = environment.get("max_episode_steps", spec["max_episode_steps"])
+    spec["additional_wrappers"] = [
+        {**wrapper, "entry_point": f"{kind.__module__}:{kind.__name__}"}
+        for wrapper, kind in zip(environment.get("wrappers", ()), kinds, strict=True)
+    ]
+    return json.dumps(spec)

@@ -49,7 +49,7 @@ def merged_in_single(column: np.ndarray) -> Merged | None:
     return Merged(np.isin(column, alike), len(distinct), len(distinct) - int(same.sum()), distinct[-1].item())
 
 
-def few_steps_in_single(low: np.ndarray | float, high: np.ndarray | float) -> np.ndarray:
+def few_steps_in_single(low: np.ndarray | np.floating | float, high: np.ndarray | np.floating | float) -> np.ndarray:
     """Whether numbers from `low` to `high` are so far from zero that single precision parts them into too few steps."""
     with np.errstate(over="ignore", invalid="ignore"):
         largest = np.maximum(np.abs(low), np.abs(high)).astype(np.float32)
