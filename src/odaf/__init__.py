@@ -35,6 +35,7 @@ _HOME_OF = {
     "fit": "odaf.runs.fit",
     "load_run": "odaf.runs.fit",
     "preset": "odaf.runs.methods",
+    "register": "odaf.algorithms.registry",
     "resume": "odaf.runs.fit",
     "rollout": "odaf.evaluation",
 }
@@ -66,6 +67,7 @@ if TYPE_CHECKING:
     from odaf import training as training
     from odaf.algorithms.behaviour_cloning import BehaviourCloning
     from odaf.algorithms.ensemble_sac import EnsembleSAC
+    from odaf.algorithms.registry import register
     from odaf.algorithms.terms import (
         Conservative,
         GradientDiversity,
@@ -111,6 +113,7 @@ __all__ = [
     "fit",
     "load_run",
     "preset",
+    "register",
     "resume",
     "rollout",
 ]

@@ -24,5 +24,5 @@ def _tiny_module():
 def tiny(_tiny_module, monkeypatch):
     from odaf.algorithms.registry import ALGORITHMS
 
-    monkeypatch.setitem(ALGORITHMS, "tiny", _tiny_module.TinyLearner)
+    monkeypatch.setitem(ALGORITHMS._known, "tiny", _tiny_module.TinyLearner)
     return _tiny_module

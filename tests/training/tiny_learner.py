@@ -147,7 +147,7 @@ if __name__ == "__main__":
     from odaf import training
     from odaf.algorithms.registry import ALGORITHMS
 
-    ALGORITHMS["tiny"] = TinyLearner
+    ALGORITHMS.add(TinyLearner)
     target, steps, die_at = sys.argv[1], int(sys.argv[2]), int(sys.argv[3])
     if die_at:
         _die_at(die_at)

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from typing import Any, Literal, NoReturn, Union, get_args, get_origin, get_type_hints
 
 from odaf.algorithms.base import Algorithm
-from odaf.algorithms.registry import ALGORITHMS
-from odaf.algorithms.terms import TERMS, Term
+from odaf.algorithms.registry import ALGORITHMS, TERMS
+from odaf.algorithms.terms import Term
 from odaf.errors import ConfigError
 
 
@@ -36,7 +36,10 @@ def from_dict(fields: Mapping[str, Any], source: str = "configuration") -> Algor
     fields = dict(fields)
     kind = fields.pop("kind", None)
     if kind not in ALGORITHMS:
-        raise ConfigError(f"{source}: kind={kind!r} is not a learner; known: {', '.join(ALGORITHMS)}")
+        raise ConfigError(
+            f"{source}: kind={kind!r} is not a learner; known: {', '.join(ALGORITHMS)}. One of your own becomes known "
+            "by odaf.register(...) in Python, or by an entry point 'odaf.algorithms' of the package that offers it"
+        )
     if "terms" in fields:
         if not isinstance(fields["terms"], list | tuple):
             raise ConfigError(f"{source}: terms={fields['terms']!r} must be a list of tables with a name each")
@@ -92,7 +95,10 @@ def _term(fields: Any, source: str) -> Term:
     fields = dict(fields)
     name = fields.pop("name", None)
     if name not in TERMS:
-        raise ConfigError(f"{source}: name={name!r} is not a term; known: {', '.join(TERMS)}")
+        raise ConfigError(
+            f"{source}: name={name!r} is not a term; known: {', '.join(TERMS)}. One of your own becomes known by "
+            "odaf.register(...) in Python, or by an entry point 'odaf.terms' of the package that offers it"
+        )
     return _build(TERMS[name], fields, source, name)
 
 

@@ -134,7 +134,7 @@ def _options(preset: str, algorithm: Any) -> type:
             ("settings", Annotated[settings, tyro.conf.arg(name="")]),
         ],
         frozen=True,
-        namespace={"__doc__": f"{presets.names()[preset]}."},
+        namespace={"__doc__": f"{presets.description(preset) or preset}."},
     )
 
 

@@ -11,6 +11,7 @@ from typing import Any, Literal
 
 import jax
 
+from odaf.algorithms.registry import register, register_parts
 from odaf.data.dataset import Dataset
 from odaf.data.spec import Spec
 from odaf.errors import ConfigError, OdafError
@@ -79,6 +80,7 @@ def side_by_side(settings: RunSettings, data_path: str | os.PathLike[str] | None
             evaluate=evaluator.rollouts if isinstance(evaluator, RolloutEvaluator) else evaluator,
             settings=replace(settings, evaluate=None),
             loggers=tuple(loggers),
+            registered=register_parts(first.run.algorithm),
             jax_settings={name: jax.config.values[name] for name in _JAX_SETTINGS},
         )
         _check_sendable("evaluate", shared.evaluate)
@@ -125,6 +127,7 @@ class _Shared:
     settings: RunSettings
     loggers: tuple[Logger, ...]
     jax_settings: dict[str, Any]
+    registered: tuple[type, ...]  # learners and terms that are not ours
 
 
 _shared: _Shared
@@ -133,6 +136,8 @@ _shared: _Shared
 def _prepare(shared: _Shared) -> None:
     global _shared
     _shared = shared
+    for entry in shared.registered:
+        register(entry)
     for name, value in shared.jax_settings.items():
         jax.config.update(name, value)
     _data.cache_clear()

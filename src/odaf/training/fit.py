@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, Literal, Unpack
 
 from odaf.algorithms.base import Algorithm
+from odaf.algorithms.registry import register_parts
 from odaf.components.critics import usable_cores
 from odaf.data.dataset import Dataset
 from odaf.data.normalisation import Normaliser
@@ -75,6 +76,7 @@ def fit(
         DivergenceError: training diverged and `on_divergence` is "stop", or parameters are no longer finite numbers;
             the state is saved first.
     """
+    register_parts(algorithm)
     path = Path(directory)
     settings = (settings or RunSettings()).with_changes(dict(changes)).resolved(recorded_config(path))
     evaluate = _evaluator(settings)

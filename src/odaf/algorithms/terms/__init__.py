@@ -11,16 +11,13 @@ from odaf.algorithms.terms.outcome_penalty import OutcomePenalty as OutcomePenal
 from odaf.algorithms.terms.policy_smoothing import PolicySmoothing as PolicySmoothing
 from odaf.algorithms.terms.value_smoothing import ValueSmoothing as ValueSmoothing
 
-TERMS: dict[str, type[Term]] = {
-    term.name: term
-    for term in (
-        OutcomePenalty,
-        OODPessimism,
-        GradientDiversity,
-        PolicySmoothing,
-        ValueSmoothing,
-        InverseDynamicsAlignment,
-        InverseDynamicsValues,
-        Conservative,
-    )
-}
+BUILT_IN: tuple[type[Term], ...] = (
+    OutcomePenalty,
+    OODPessimism,
+    GradientDiversity,
+    PolicySmoothing,
+    ValueSmoothing,
+    InverseDynamicsAlignment,
+    InverseDynamicsValues,
+    Conservative,
+)

@@ -1,12 +1,15 @@
 """Tuned settings as data files; this package only finds and reads them.
 
-A preset is a TOML file here. `tasks/PRESET.toml` holds what differs by task: a table for each task with fields of the
-learner, and a term's fields under the term's name. A preset has the tasks of the preset that it extends as well.
+A preset is a TOML file here, or one of the user's own, named by its path. `tasks/PRESET.toml` holds what differs by
+task: a table for each task with fields of the learner, and a term's fields under the term's name. A preset has the
+tasks of the preset that it extends as well.
 """
 
+import os
 import tomllib
 from collections.abc import Mapping
 from importlib import resources
+from pathlib import Path
 from typing import Any
 
 from odaf.errors import ConfigError
@@ -21,7 +24,7 @@ def settings(name: str) -> dict[str, Any]:
     """A preset's fields as the file gives them, after following `extends`.
 
     Raises:
-        ConfigError: there is no such preset; the message lists those that exist.
+        ConfigError: there is no such preset, or it drops a term that its base has not; the message lists those known.
     """
     fields = _read(name)
     base = settings(fields.pop("extends")) if "extends" in fields else {}
@@ -29,7 +32,8 @@ def settings(name: str) -> dict[str, Any]:
     for term in fields.pop("terms", []):
         terms[term["name"]] = _merged(terms.get(term["name"], {}), term)
     for term in fields.pop("without", []):
-        del terms[term]
+        if terms.pop(term, None) is None:
+            raise ConfigError(f"preset {name}: without names {term!r}, which is no term; known: {', '.join(terms)}")
     merged = _merged(base, fields)
     return merged | ({"terms": list(terms.values())} if terms or "terms" in base else {})
 
@@ -47,7 +51,7 @@ def load(name: str, overrides: Mapping[str, Any] | None = None, *, task: str | N
     """The learner a preset describes.
 
     Args:
-        name: one of `names()`.
+        name: one of `names()`, or the path of a TOML file of your own.
         overrides: fields to change, by dotted name, as in {"num_critics": 4, "outcome.weight": 1.0}.
         task: one of `tasks(name)`, whose values replace the preset's; None takes the preset as it is.
 
@@ -93,10 +97,42 @@ def _files() -> list[str]:
     )
 
 
+def is_file(name: str) -> bool:
+    """Whether a preset is named by the path of a file: it ends in .toml or has a folder in it."""
+    return name.endswith(".toml") or "/" in name or os.sep in name
+
+
+def description(name: str) -> str:
+    """One line about a preset; empty where a file of the user's own has none."""
+    return str(_read(name).get("description", ""))
+
+
 def _read(name: str) -> dict[str, Any]:
+    if is_file(name):
+        return _read_own(name)
     if name not in _files():
-        raise ConfigError(f"preset {name!r} does not exist; known: {', '.join(_files())}")
+        raise ConfigError(
+            f"preset {name!r} does not exist; known: {', '.join(_files())}; a file of your own is named by its path, "
+            f"as in ./{name}.toml"
+        )
     return tomllib.loads(resources.files(__name__).joinpath(f"{name}.toml").read_text(encoding="utf-8"))
+
+
+def _read_own(name: str) -> dict[str, Any]:
+    """A preset of the user's own; `extends` names one of ours, or a file beside it."""
+    path = Path(name)
+    try:
+        fields = tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise ConfigError(f"preset {name}: there is no such file; known presets: {', '.join(_files())}") from None
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise ConfigError(f"preset {name}: cannot be read as TOML ({error}); compare it with docs/presets.md") from None
+    base = fields.get("extends")
+    if base is None and "kind" not in fields:
+        raise ConfigError(f'preset {name}: needs a line such as extends = "odaf", or kind = "ensemble-sac"')
+    if base is not None and is_file(str(base)):
+        fields["extends"] = str(path.parent / base)
+    return fields
 
 
 def _tasks(name: str) -> dict[str, dict[str, Any]]:
@@ -112,6 +148,8 @@ def _tasks(name: str) -> dict[str, dict[str, Any]]:
 
 
 def _task_file(name: str) -> dict[str, dict[str, Any]]:
+    if is_file(name):
+        return {}
     file = resources.files(__name__).joinpath("tasks", f"{name}.toml")
     return tomllib.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
 
