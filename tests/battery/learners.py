@@ -38,7 +38,8 @@ def small(settings: Any) -> Any:
         elif dataclasses.is_dataclass(value):
             changes[field.name] = small(value)
         elif field.name == "terms":
-            changes[field.name] = tuple(map(small, value))
+            terms: tuple[Any, ...] = value
+            changes[field.name] = tuple(small(term) for term in terms)
     return dataclasses.replace(settings, **changes)
 
 
