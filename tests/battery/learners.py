@@ -38,8 +38,7 @@ def small(settings: Any) -> Any:
         elif dataclasses.is_dataclass(value):
             changes[field.name] = small(value)
         elif field.name == "terms":
-            terms: tuple[Any, ...] = value
-            changes[field.name] = tuple(small(term) for term in terms)
+            changes[field.name] = tuple(small(term) for term in value or ())
     return dataclasses.replace(settings, **changes)
 
 
