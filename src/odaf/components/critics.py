@@ -124,8 +124,9 @@ def init_critics(
     hidden_sizes: tuple[int, ...],
     num_critics: int,
     norm: Norm,
-    output_bound: float,
+    output_bound: float | None,
     products: Products = "float32",
+    hidden_bias: float = 0.1,
 ) -> MLP:
     """Draw the networks of `num_critics` independent Q-functions as one stack.
 
@@ -136,11 +137,19 @@ def init_critics(
         hidden_sizes: widths of the hidden layers.
         num_critics: K.
         norm: whether hidden layers are normalised.
-        output_bound: the last layer is uniform in plus or minus this.
+        output_bound: the last layer is uniform in plus or minus this; None draws it like a hidden one.
         products: what the products between hidden layers round their factors to.
+        hidden_bias: initial value of every hidden bias.
     """
-    sizes = (obs_dim + act_dim, *hidden_sizes, 1)
-    return init_mlp(key, sizes, members=num_critics, norm=norm, output_bound=output_bound, products=products)
+    return init_mlp(
+        key,
+        (obs_dim + act_dim, *hidden_sizes, 1),
+        members=num_critics,
+        norm=norm,
+        hidden_bias=hidden_bias,
+        output_bound=output_bound,
+        products=products,
+    )
 
 
 def disagreement(values: Float[Array, "critics *rows"], ddof: int = 0) -> Float[Array, "*rows"]:
