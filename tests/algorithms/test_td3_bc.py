@@ -80,10 +80,9 @@ def test_the_actor_and_all_slow_copies_move_at_every_second_update_against_the_n
     tiny.assert_same_bits((one.actor, one.critics.slow), (state.actor, state.critics.slow))
     assert not np.array_equal(one.critics.now.weights[0], state.critics.now.weights[0])
     for before, after in ((one.actor.now, two.actor.now), (one.actor.slow, two.actor.slow)):
+        assert before is not None and after is not None
         assert not np.array_equal(before.network.weights[0], after.network.weights[0])
-    expected = jax.tree.map(
-        lambda s, n: 0.75 * np.asarray(s) + 0.25 * np.asarray(n), one.critics.slow, two.critics.now
-    )
+    expected = jax.tree.map(lambda s, n: 0.75 * np.asarray(s) + 0.25 * np.asarray(n), one.critics.slow, two.critics.now)
     tiny.assert_close(two.critics.slow, expected, atol=1e-9)
     with tiny.exactly():
         loss, _ = actor_loss(one.actor.now, CriticEnsemble(two.critics.now), batch, 2.5)

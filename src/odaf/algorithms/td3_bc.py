@@ -3,7 +3,7 @@
     a'   = clip( mu'(s') + clip(noise, -c, c), -1, 1 ),                noise ~ N(0, target_noise^2)
     y    = r + discount (1 - d) min_k Q'_k(s', a')
     L_Q  = sum_k mean_B ( Q_k(s, a) - y )^2
-    L_pi = - w mean_B Q_1(s, mu(s)) + mean_{B, dims} ( mu(s) - a )^2,     w = value_weight / sg[ mean_B |Q_1(s, mu(s))| ]
+    L_pi = - w mean_B Q_1(s, mu(s)) + mean_{B, dims} ( mu(s) - a )^2,  w = value_weight / sg[ mean_B |Q_1(s, mu(s))| ]
 
 The critics step first. Every `actor_delay`-th update the actor steps against the new critics, and all slow copies move
 then and only then.
