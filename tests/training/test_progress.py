@@ -40,11 +40,14 @@ def test_the_end_is_said_once_and_in_the_stages_own_unit(monkeypatch):
     assert lines[1].endswith("return 3.0")
 
 
-def test_bar_shows_stage_rate_and_note_on_a_terminal():
+def test_bar_shows_stage_rate_and_note_on_a_terminal(monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr("time.monotonic", lambda: now[0])
     stream = io.StringIO()
     report = progress.Bar(Console(file=stream, force_terminal=True, width=140))
     report.start("seed 0: compiling", 0)
     report.start("seed 0: training", 1000)
+    now[0] = 2.0
     report.advance(500, "return 12.5")
     report.message("values [left] the range")
     report.advance(1000)

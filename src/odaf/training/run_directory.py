@@ -10,7 +10,7 @@ Paths inside the files stand as the user gave them. This is the only reader of t
 """
 
 import functools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -34,6 +34,7 @@ FORMAT = "odaf-run"
 # 2: the state of the ensemble learner is laid out anew; settings of the whole run. Reports and scores of 1 still work.
 VERSION = 2
 _READABLE = (1, 2)
+_TRAINED_WITH = ("algorithm", "evaluate", "checkpoint_every", "keep_checkpoints", "stretch", "on_divergence")
 
 _NO_RUN = "Give the directory that `odaf train --out` or `odaf.fit(directory=...)` wrote."
 _DAMAGED = "Restore the file, or train again."
@@ -64,18 +65,17 @@ class RunDirectory:
                 f"{path}: field 'version' is {config.get('version')!r}, this odaf reads versions up to {VERSION}; use "
                 "the version of odaf that made the run"
             )
-        for field in ("algorithm", "steps", "seeds", "checkpoint_every", "stretch"):
-            if field not in config:
-                raise CheckpointError(f"{path}: {field}: is missing, so the file was changed. {_NO_RUN}")
+        _require(path, config, ("steps", "seeds"))
         return config
 
     def require_current(self) -> None:
-        """Makes sure that this odaf understands the learner's state in the run's checkpoints.
+        """Makes sure that this odaf understands the learner's state in the run's checkpoints, and how it was trained.
 
         Raises:
-            CheckpointError: an older one wrote it; the message names that version.
+            CheckpointError: an older one wrote it; the message names that version. Or settings are missing.
         """
         if self.config["version"] == VERSION:
+            _require(self.path / "config.json", self.config, _TRAINED_WITH)
             return
         writer = self.machine.get("versions", {}).get("odaf", "0.1.0")
         raise CheckpointError(
@@ -246,6 +246,12 @@ class RunDirectory:
     def _json_if_there(self, name: str) -> dict[str, Any]:
         path = self.path / name
         return read_json(path, _DAMAGED) if path.exists() else {}
+
+
+def _require(path: Path, config: Mapping[str, Any], fields: Sequence[str]) -> None:
+    for field in fields:
+        if field not in config:
+            raise CheckpointError(f"{path}: {field}: is missing, so the file was changed. {_NO_RUN}")
 
 
 def blank_state(algorithm: Algorithm, spec: Spec) -> Any:
