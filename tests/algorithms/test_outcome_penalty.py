@@ -25,6 +25,7 @@ OPTIONS = {
     "as printed": {"solver": "sample", "dynamics": {"kind": "cvae", "residual": False}},
     "mean over draws": {"solver": "sample", "reduce": "mean"},
     "centre among the draws": {"solver": "sample", "include_centre": True},
+    "one noise for all draws": {"solver": "sample", "common_noise": True},
     "one set of draws for the batch": {"solver": "sample", "shared_draws": True},
     "current policy acts next": {"next_policy": "current"},
     "next action without noise": {"next_action": "mode"},
@@ -58,6 +59,8 @@ def _draws(term, side, key):
     offsets = draw_offsets(
         key_offsets, term.num_draws, rows, tiny.OBS_DIM, term.radius, shared=term.shared_draws, include_centre=centre
     )
+    if term.common_noise:
+        return offsets, [term._draw_noise(side, rows, tiny.ACT_DIM, key_noise)] * term.num_draws
     return offsets, [term._draw_noise(side, rows, tiny.ACT_DIM, k) for k in jr.split(key_noise, term.num_draws)]
 
 
@@ -250,6 +253,19 @@ def test_a_larger_box_holds_a_larger_worst_case():
             for radius in (0.0, 1e-4, 2e-4)
         ]
     assert np.all(worst[0] < worst[1]) and np.all(worst[1] < worst[2])
+
+
+def test_without_a_box_the_two_solvers_agree_only_on_one_noise():
+    """Draws of their own noise make the worst case one over noise: it rises where there is no box at all."""
+    with tiny.exactly():
+        term, context, side = _setting({"radius": 0.0})
+        one = term.worst_case(context, side, jr.key(KEY))
+        sampled = dataclasses.replace(term, solver="sample", num_draws=8)
+        common = dataclasses.replace(sampled, common_noise=True).worst_case(context, side, jr.key(KEY))
+        own = np.asarray(sampled.worst_case(context, side, jr.key(KEY)))
+        mean = np.asarray(dataclasses.replace(sampled, reduce="mean").worst_case(context, side, jr.key(KEY)))
+    np.testing.assert_allclose(common, one, rtol=1e-9)
+    assert np.all(own - mean > 1e-3), "the worst of draws that differ in noise alone lies above their mean"
 
 
 def test_pretraining_fits_the_model_that_the_term_will_use():

@@ -55,6 +55,9 @@ class OutcomePenalty(Term):
     """States of the batch that the penalty is averaged over, the first so many; None takes all. Fewer cost less."""
     include_centre: bool = False
     """Make the state itself one of the draws."""
+    common_noise: bool = False
+    """Every draw of the sample solver judges one noise of action and model, as the gradient solver does, so that only
+    the box is searched; False (the paper) draws it anew, and the worst case is one over that noise too."""
     shared_draws: bool = False
     """One set of offsets for the whole batch instead of one a state."""
     next_policy: Literal["slow", "current"] = "slow"
@@ -134,7 +137,12 @@ class OutcomePenalty(Term):
             shared=self.shared_draws,
             include_centre=self.include_centre,
         )
-        noises = jax.vmap(lambda k: self._draw_noise(dynamics, rows, act_dim, k))(jr.split(key_noise, self.num_draws))
+        if self.common_noise:
+            common = self._draw_noise(dynamics, rows, act_dim, key_noise)
+            noises = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf[None], (self.num_draws, *leaf.shape)), common)
+        else:
+            keys = jr.split(key_noise, self.num_draws)
+            noises = jax.vmap(lambda k: self._draw_noise(dynamics, rows, act_dim, k))(keys)
         # without gradients where only the winner is differentiated
         judging_actor = context.actor if self.reduce == "mean" else frozen(context.actor)
 
