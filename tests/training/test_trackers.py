@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from odaf import training
-from odaf.errors import ConfigError
+from odaf.errors import ConfigError, OdafWarning
 from odaf.training.trackers import MLflow, TensorBoard, WeightsAndBiases, tracker
 
 
@@ -124,6 +124,28 @@ def test_a_library_that_is_missing_is_named_with_its_extra(monkeypatch, name, mo
         tracker(name)
     with pytest.raises(ConfigError, match=r"'comet' is not known; known are tensorboard, wandb, mlflow"):
         tracker("comet")
+
+
+def test_a_tracker_that_fails_costs_its_log_and_not_the_training(tiny, tmp_path, monkeypatch):
+    heard = Heard()
+    library = _tensorboard(heard)
+    monkeypatch.setitem(sys.modules, "tensorboardX", library)
+
+    def full(self, name, value, step):
+        raise OSError("disk full")
+
+    monkeypatch.setattr(library.SummaryWriter, "add_scalar", full)
+    data, settings = tiny.tiny_dataset(), {"steps": 4, "stretch": 2, "progress": False}
+    with pytest.warns(OdafWarning, match=r"TensorBoard fails and hears no more .*disk full") as said:
+        run = training.fit(tiny.TinyLearner(), data, directory=tmp_path / "a", loggers=(TensorBoard(),), **settings)
+    assert len(said) == 1 and run.summary(0)["status"] == "finished"
+
+    def nowhere(*arguments, **options):
+        raise OSError("read-only")
+
+    monkeypatch.setattr(library, "SummaryWriter", nowhere)
+    with pytest.raises(ConfigError, match=r"TensorBoard cannot begin \(OSError: read-only\)"):
+        training.fit(tiny.TinyLearner(), data, directory=tmp_path / "b", loggers=(TensorBoard(),), **settings)
 
 
 def test_event_files_hold_the_metrics(tmp_path):

@@ -132,8 +132,7 @@ def rollout_in(
         if max_steps is None and len(rewards) >= _NO_LIMIT:
             raise ConfigError(f"environment: still going after {_NO_LIMIT:,} steps; give max_steps to cut episodes")
         actions = player.act(current, running)
-        seen = np.full_like(current, np.nan)
-        earned = np.full(episodes, np.nan, np.float32)
+        observed, paid = np.full(current.shape, np.nan), np.full(episodes, np.nan)
         for index in np.flatnonzero(running & ~np.isfinite(actions).all(axis=1)).tolist():
             # A simulator may play it as zero, and nobody would know.
             broken[index], running[index] = f"an action is not finite at step {lengths[index] + 1}", False
@@ -142,14 +141,15 @@ def rollout_in(
             # A copy, since some environments write into the action they are given.
             observation, reward, terminated, truncated, info = environments[index].step(actions[index].copy())
             lengths[index] += 1
-            with np.errstate(over="ignore"):  # a number beyond single precision is not finite, and counts as such
-                seen[index], earned[index], infos[index] = observation, reward_of(reward), info
+            observed[index], paid[index], infos[index] = observation, reward_of(reward), info
             running[index] = not (terminated or truncated or lengths[index] == max_steps)
+        with np.errstate(over="ignore"):  # a number beyond single precision counts as not finite
+            seen, earned = observed.astype(np.float32), paid.astype(np.float32)
         sound = np.asarray(np.isfinite(seen[played]).all(axis=1))
         void = ~(sound & np.isfinite(earned[played]))
         current[played[sound]] = seen[played[sound]]
-        for index, observed in zip(played[void].tolist(), sound[void].tolist(), strict=True):
-            what = "a reward" if observed else "an observation"
+        for index, is_seen in zip(played[void].tolist(), sound[void].tolist(), strict=True):
+            what = "a reward" if is_seen else "an observation"
             broken[index], running[index] = f"{what} is not finite at step {lengths[index]}", False
         observations.append(seen)
         rewards.append(earned)

@@ -4,15 +4,17 @@ Each library is loaded when training begins, in the process that trains, so a lo
 one run of the tracker; a resumed seed goes on with it, and what was logged after its checkpoint is written anew.
 """
 
+import abc
 import hashlib
 import importlib
 import math
-from collections.abc import Mapping, Sequence
+import warnings
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from odaf.errors import ConfigError
+from odaf.errors import ConfigError, OdafWarning
 from odaf.training.files import read_json
 from odaf.training.logging import Logger
 
@@ -35,7 +37,60 @@ def tracker(name: str) -> Logger:
 
 
 @dataclass
-class TensorBoard:
+class _Tracked(abc.ABC):
+    """A logger whose library may fail: at the start that is said, later it costs the log and never the training."""
+
+    _handle: Any = field(default=None, init=False, repr=False)
+
+    @staticmethod
+    @abc.abstractmethod
+    def library() -> Any:
+        """The library, loaded."""
+
+    @abc.abstractmethod
+    def begin(self, directory: Path, step: int) -> Any:
+        """Opens what `send` writes to."""
+
+    @abc.abstractmethod
+    def send(self, handle: Any, step: int, metrics: Mapping[str, float]) -> None:
+        """Writes finite numbers."""
+
+    @abc.abstractmethod
+    def end(self, handle: Any) -> None:
+        """Closes it."""
+
+    def open(self, directory: Path, step: int) -> None:
+        try:
+            self._handle = self.begin(directory, step)
+        except ConfigError:
+            raise
+        except Exception as error:  # no account, no server, no space: as many as there are libraries
+            raise ConfigError(
+                f"log_to: {type(self).__name__} cannot begin ({type(error).__name__}: {error}); mend its set-up, or "
+                "train without it"
+            ) from error
+
+    def log(self, step: int, metrics: Mapping[str, float | int]) -> None:
+        finite = {name: float(value) for name, value in metrics.items() if math.isfinite(value)}
+        self._attempt(lambda handle: self.send(handle, step, finite))
+
+    def close(self) -> None:
+        self._attempt(self.end)
+        self._handle = None
+
+    def _attempt(self, action: Callable[[Any], object]) -> None:
+        if self._handle is None:
+            return
+        try:
+            action(self._handle)
+        except Exception as error:
+            self._handle = None
+            text = f"{type(self).__name__} fails and hears no more of this seed; training goes on ({error})"
+            warnings.warn(text, OdafWarning, stacklevel=2)
+
+
+@dataclass
+class TensorBoard(_Tracked):
     """Event files for `tensorboard --logdir FOLDER`, written with tensorboardX.
 
     Attributes:
@@ -43,29 +98,26 @@ class TensorBoard:
     """
 
     folder: str | None = None
-    _writer: Any = field(default=None, init=False, repr=False)
 
     @staticmethod
     def library() -> Any:
         return _load("tensorboardX", "tensorboard")
 
-    def open(self, directory: Path, step: int) -> None:
+    def begin(self, directory: Path, step: int) -> Any:
         place = directory / "tensorboard" if self.folder is None else Path(self.folder) / _title(directory)
         # TensorBoard itself forgets what was logged from this step on.
-        self._writer = self.library().SummaryWriter(str(place), purge_step=step + 1)
+        return self.library().SummaryWriter(str(place), purge_step=step + 1)
 
-    def log(self, step: int, metrics: Mapping[str, float | int]) -> None:
+    def send(self, handle: Any, step: int, metrics: Mapping[str, float]) -> None:
         for name, value in metrics.items():
-            self._writer.add_scalar(name, value, step)
+            handle.add_scalar(name, value, step)
 
-    def close(self) -> None:
-        if self._writer is not None:
-            self._writer.close()
-            self._writer = None
+    def end(self, handle: Any) -> None:
+        handle.close()
 
 
 @dataclass
-class WeightsAndBiases:
+class WeightsAndBiases(_Tracked):
     """A run on Weights & Biases for every seed; a resumed seed goes on with its own.
 
     Attributes:
@@ -76,15 +128,14 @@ class WeightsAndBiases:
 
     project: str = "odaf"
     mode: str | None = None
-    _run: Any = field(default=None, init=False, repr=False)
 
     @staticmethod
     def library() -> Any:
         return _load("wandb", "wandb")
 
-    def open(self, directory: Path, step: int) -> None:
-        # Its step only ever grows, so ours is a column of its own, and what is logged again stands there again.
-        self._run = self.library().init(
+    def begin(self, directory: Path, step: int) -> Any:
+        # Its own step only ever grows, so ours is a column, and what is logged again stands there again.
+        run = self.library().init(
             project=self.project,
             name=_title(directory),
             id=_identity(directory),
@@ -93,20 +144,19 @@ class WeightsAndBiases:
             mode=self.mode,
             config=_config(directory),
         )
-        self._run.define_metric("update")
-        self._run.define_metric("*", step_metric="update")
+        run.define_metric("update")
+        run.define_metric("*", step_metric="update")
+        return run
 
-    def log(self, step: int, metrics: Mapping[str, float | int]) -> None:
-        self._run.log({"update": step, **metrics})
+    def send(self, handle: Any, step: int, metrics: Mapping[str, float]) -> None:
+        handle.log({"update": step, **metrics})
 
-    def close(self) -> None:
-        if self._run is not None:
-            self._run.finish()
-            self._run = None
+    def end(self, handle: Any) -> None:
+        handle.finish()
 
 
 @dataclass
-class MLflow:
+class MLflow(_Tracked):
     """A run of MLflow for every seed; a resumed seed goes on with its own. MLFLOW_TRACKING_URI says where.
 
     Attributes:
@@ -114,38 +164,35 @@ class MLflow:
     """
 
     experiment: str = "odaf"
-    _client: Any = field(default=None, init=False, repr=False)
-    _run_id: str = field(default="", init=False, repr=False)
 
     @staticmethod
     def library() -> Any:
         return _load("mlflow", "mlflow")
 
-    def open(self, directory: Path, step: int) -> None:
-        library = self.library()
-        self._client = library.MlflowClient()
-        found = self._client.get_experiment_by_name(self.experiment)
-        experiment = self._client.create_experiment(self.experiment) if found is None else found.experiment_id
+    def begin(self, directory: Path, step: int) -> Any:
+        client = self.library().MlflowClient()
+        found = client.get_experiment_by_name(self.experiment)
+        experiment = client.create_experiment(self.experiment) if found is None else found.experiment_id
         identity = _identity(directory)
-        known = self._client.search_runs([experiment], filter_string=f"tags.odaf_seed = '{identity}'")
+        known = client.search_runs([experiment], filter_string=f"tags.odaf_seed = '{identity}'")
         if known:
-            self._run_id = known[0].info.run_id
-            self._client.update_run(self._run_id, status="RUNNING")
-            return
+            run_id = known[0].info.run_id
+            client.update_run(run_id, status="RUNNING")
+            return client, run_id
         tags = {"odaf_seed": identity, "mlflow.runName": _title(directory)}
-        self._run_id = self._client.create_run(experiment, tags=tags).info.run_id
+        run_id = client.create_run(experiment, tags=tags).info.run_id
         for name, value in _flat(_config(directory)).items():
-            self._client.log_param(self._run_id, name, str(value)[:500])
+            client.log_param(run_id, name, str(value)[:500])
+        return client, run_id
 
-    def log(self, step: int, metrics: Mapping[str, float | int]) -> None:
+    def send(self, handle: Any, step: int, metrics: Mapping[str, float]) -> None:
+        client, run_id = handle
         for name, value in metrics.items():
-            if math.isfinite(value):  # its stores take no other numbers
-                self._client.log_metric(self._run_id, name, value, step=step)
+            client.log_metric(run_id, name, value, step=step)
 
-    def close(self) -> None:
-        if self._client is not None:
-            self._client.set_terminated(self._run_id)
-            self._client = None
+    def end(self, handle: Any) -> None:
+        client, run_id = handle
+        client.set_terminated(run_id)
 
 
 def _load(module: str, extra: str) -> Any:
