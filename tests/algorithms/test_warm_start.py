@@ -6,6 +6,7 @@ import jax.random as jr
 import numpy as np
 import pytest
 
+from compilations import counted
 from golden import tiny
 from odaf.algorithms.ensemble_sac import EnsembleSAC
 from odaf.algorithms.ensemble_state import Models
@@ -99,6 +100,20 @@ def test_the_fit_learns_the_logs_values_and_actions_and_training_begins_there():
 
     fresh = EnsembleSAC(**{**SMALL, "warm_start": "none"})
     assert fresh.untrained(jr.key(3), spec) == Models() == fresh.pretrain(dataset, normaliser, jr.key(4), _ignore)[0]
+
+
+def test_a_second_seed_and_another_step_size_compile_nothing():
+    dataset = _controlled(4, 10)
+    normaliser = Normaliser.fit(dataset.observations)
+
+    def started(key: int, rate: float) -> None:
+        learner = EnsembleSAC(**SMALL, warm_start_steps=2, critic_learning_rate=rate)
+        learner.pretrain(dataset, normaliser, jr.key(key), _ignore)
+
+    started(0, 1e-3)
+    with counted() as programs:
+        started(1, 2e-3)
+    assert not programs
 
 
 def test_the_target_entropy_can_be_that_of_the_logged_actions():

@@ -9,6 +9,7 @@ import jax.random as jr
 import numpy as np
 import pytest
 
+from compilations import counted
 from golden import tiny
 from odaf.components.dynamics import DynamicsConfig, fit_dynamics, untrained
 from odaf.components.pretraining import split_rows
@@ -116,7 +117,7 @@ def test_one_key_gives_one_model_bit_for_bit_and_another_key_another():
     first, again, other = (_fitted(config, key=key)[0] for key in (3, 3, 4))
     for ours, theirs in zip(jax.tree.leaves(first), jax.tree.leaves(again), strict=True):
         np.testing.assert_array_equal(ours, theirs)
-    assert not np.array_equal(first.network.weights[0], other.network.weights[0])
+    assert not np.array_equal(jax.tree.leaves(first)[0], jax.tree.leaves(other)[0])
 
 
 def test_a_loss_that_is_not_finite_stops_with_the_remedy():
@@ -174,6 +175,7 @@ def test_data_without_a_single_successor_is_refused():
     [
         ({"steps": 0}, "dynamics.steps=0"),
         ({"batch_size": 0}, "dynamics.batch_size=0"),
+        ({"patience": 0}, "dynamics.patience=0"),
         ({"holdout": 0.0}, "dynamics.holdout=0.0"),
         ({"holdout": 1.0}, "dynamics.holdout=1.0"),
         ({"elites": 0}, "dynamics.elites=0"),
@@ -186,3 +188,36 @@ def test_data_without_a_single_successor_is_refused():
 def test_settings_that_cannot_be_trained_are_refused(fields, named):
     with pytest.raises(ConfigError, match=named):
         DynamicsConfig(**fields)
+
+
+def test_early_stopping_by_the_error_held_out_is_off_unless_asked_for():
+    config = dataclasses.replace(CONFIGS["deterministic"], steps=5000, learning_rate=0.0, hidden_sizes=(2,))
+    _, report = _fitted(dataclasses.replace(config, patience=2))
+    assert report["steps"] == 3000, "nothing is learnt, so the first of three checks stays the best"
+    assert DynamicsConfig().patience is None
+
+
+def _ragged(lengths: tuple[int, ...]) -> Dataset:
+    rng = np.random.default_rng(0)
+    rows = sum(lengths)
+    ends = np.zeros(rows, bool)
+    ends[np.cumsum(lengths) - 1] = True
+    states, actions = rng.normal(size=(rows, 3)), rng.uniform(-1, 1, (rows, 2))
+    after = states + 0.1
+    return Dataset.from_arrays(
+        states, actions, states[:, 0], next_observations=after, truncated=ends, action_bounds=(-1, 1)
+    )
+
+
+@pytest.mark.parametrize("kind", ["deterministic", "ensemble", "cvae"])
+def test_a_second_seed_and_another_step_size_compile_nothing(kind):
+    # episodes of unlike lengths, so that another number of rows is held out
+    dataset = _ragged((3, 5, 9, 12))
+    config = DynamicsConfig(kind=kind, hidden_sizes=(4,), latent_dim=2, members=3, elites=2, steps=2, batch_size=5)
+    held = {_fitted(config, dataset, key)[1]["holdout_rows"] for key in range(2)}
+    with counted() as programs:
+        for key in (2, 3, 4):
+            other = dataclasses.replace(config, learning_rate=1e-2 / (1 + key))
+            held.add(_fitted(other, dataset, key)[1]["holdout_rows"])
+    assert not programs
+    assert len(held) > 1

@@ -9,6 +9,7 @@ import pytest
 
 from golden import dynamics, networks, tiny
 from odaf.components.dynamics import untrained
+from odaf.components.dynamics.gaussian_ensemble import GaussianEnsembleDynamics
 
 KINDS = {
     "deterministic": {"kind": "deterministic"},
@@ -132,5 +133,10 @@ def test_the_best_members_are_kept_best_first():
         change = networks.numbers(after) - networks.numbers(states)
         wanted = (change - networks.numbers(model.shift)) / networks.numbers(model.scale)
         errors = [np.mean((dynamics.gaussian_moments(model, inputs, member)[0] - wanted) ** 2) for member in range(6)]
-        kept = model.finished(states, actions, after, 3).network.weights[0]
-        np.testing.assert_array_equal(kept, np.asarray(model.network.weights[0])[np.argsort(errors)[:3]])
+        by_member = np.asarray(model.errors(states, actions, after)).mean(axis=0)
+        np.testing.assert_allclose(by_member, errors, rtol=1e-9)
+        kept = model.finished(by_member, 3)
+        assert isinstance(model, GaussianEnsembleDynamics) and isinstance(kept, GaussianEnsembleDynamics)
+        np.testing.assert_array_equal(
+            kept.network.weights[0], np.asarray(model.network.weights[0])[np.argsort(errors)[:3]]
+        )

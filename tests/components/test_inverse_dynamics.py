@@ -9,6 +9,7 @@ import jax.random as jr
 import numpy as np
 import pytest
 
+from compilations import counted
 from golden import inverse, tiny
 from odaf.components.inverse_dynamics import InverseDynamicsConfig, fit_inverse, untrained_inverse
 from odaf.components.pretraining import normalised_rows, split_rows
@@ -62,7 +63,7 @@ def test_the_log_standard_deviation_has_outputs_of_its_own():
         noise = model.draw_noise(jr.key(1), tiny.ROWS)
 
         def outputs(shift):
-            moved = eqx.tree_at(lambda m: m.network.biases[-1], model, replace_fn=lambda b: b + tiny.floats(shift))
+            moved = eqx.tree_at(lambda m: m.cvae.decoder.biases[-1], model, replace_fn=lambda b: b + tiny.floats(shift))
             return moved.parameters(batch.observations, batch.next_observations, noise)
 
         mean, log_std = outputs([0.0, 0.0, 0.0, 0.0])
@@ -139,6 +140,20 @@ def test_a_loss_that_is_not_finite_stops_with_the_remedy():
         _fitted(dataclasses.replace(TRAINED, steps=3, learning_rate=1e30), tiny.linear_dataset(4, 10))
 
 
+def test_a_second_seed_compiles_nothing_and_early_stopping_measures_the_central_action():
+    dataset = tiny.linear_dataset(4, 10)
+    config = dataclasses.replace(TRAINED, hidden_sizes=(4,), steps=4000, learning_rate=0.0, batch_size=5, patience=1)
+    normaliser = Normaliser.fit(dataset.observations)
+
+    def fitted(key: int):
+        return fit_inverse(config, dataset, normaliser, jr.key(key), lambda *done: None, "inverse_dynamics")[1]
+
+    assert fitted(0)["steps"] == 2000, "nothing is learnt, so the first of two checks stays the best"
+    with counted() as programs:
+        fitted(1)
+    assert not programs
+
+
 def test_data_without_a_successor_is_refused():
     rows = np.arange(6, dtype=np.float32)[:, None] + np.zeros((1, 3), np.float32)
     dataset = Dataset.from_arrays(
@@ -159,6 +174,7 @@ def test_data_without_a_successor_is_refused():
     [
         ({"steps": 0}, "model.steps=0"),
         ({"batch_size": 0}, "model.batch_size=0"),
+        ({"patience": 0}, "model.patience=0"),
         ({"latent_dim": 0}, "model.latent_dim=0"),
         ({"hidden_sizes": ()}, "model.hidden_sizes"),
         ({"holdout": 0.0}, "model.holdout=0.0"),

@@ -33,23 +33,23 @@ def deterministic_loss(model, observations, actions, next_observations) -> float
 
 def cvae(model, observations, actions, noise) -> np.ndarray:
     """Decode z ~ q(z|s, a), or z from the prior cut to +-0.5 if the encoder needs the next state."""
-    if model.sees_target:
+    if model.cvae.sees_target:
         latent = np.minimum(np.maximum(numbers(noise), -0.5), 0.5)
     else:
-        mean, log_std = np.split(mlp(model.encoder, _joined(observations, actions)), 2, axis=1)
+        mean, log_std = np.split(mlp(model.cvae.encoder, _joined(observations, actions)), 2, axis=1)
         latent = mean + np.exp(log_std) * numbers(noise)
-    return _state(model, observations, mlp(model.network, _joined(observations, actions, latent)))
+    return _state(model, observations, mlp(model.cvae.decoder, _joined(observations, actions, latent)))
 
 
 def cvae_loss(model, observations, actions, next_observations, noise) -> float:
     """Squared error + 0.5 KL(N(mu, sigma^2) || N(0, 1)); both are means over rows and over dimensions."""
     condition = _joined(observations, actions)
-    if model.sees_target:
+    if model.cvae.sees_target:
         condition = _joined(observations, actions, next_observations)
-    mean, log_std = np.split(mlp(model.encoder, condition), 2, axis=1)
+    mean, log_std = np.split(mlp(model.cvae.encoder, condition), 2, axis=1)
     std = np.exp(log_std)
     latent = mean + std * numbers(noise)
-    output = mlp(model.network, _joined(observations, actions, latent))
+    output = mlp(model.cvae.decoder, _joined(observations, actions, latent))
     error = output - _output(model, observations, next_observations)
     # KL of two normals, term by term: log(1 / sigma) + (sigma^2 + mu^2) / 2 - 1 / 2
     divergence = np.log(1.0 / std) + (std**2 + mean**2) / 2.0 - 0.5

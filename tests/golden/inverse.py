@@ -12,7 +12,7 @@ def _joined(*columns) -> np.ndarray:
 
 def _action(model, pair, latent) -> tuple[np.ndarray, np.ndarray]:
     """Mean and standard deviation before the tanh: the first half of the decoder's outputs, and the second."""
-    output = mlp(model.network, _joined(pair, latent))
+    output = mlp(model.cvae.decoder, _joined(pair, latent))
     half = output.shape[1] // 2
     log_std = float(model.log_std_scale) * output[:, half:] + float(model.log_std_offset)
     return output[:, :half], np.exp(np.minimum(np.maximum(log_std, model.log_std_min), 2.0))
@@ -21,9 +21,9 @@ def _action(model, pair, latent) -> tuple[np.ndarray, np.ndarray]:
 def inverse(model, observations, next_observations, noise) -> tuple[np.ndarray, np.ndarray]:
     """I(a | s, s'): z through the encoder, or from the prior cut to +-0.5 if the encoder needs the action."""
     pair = _joined(observations, next_observations)
-    if model.encode_target:
+    if model.cvae.sees_target:
         return _action(model, pair, np.minimum(np.maximum(numbers(noise), -0.5), 0.5))
-    mean, log_std = np.split(mlp(model.encoder, pair), 2, axis=1)
+    mean, log_std = np.split(mlp(model.cvae.encoder, pair), 2, axis=1)
     return _action(model, pair, mean + np.exp(log_std) * numbers(noise))
 
 
@@ -31,7 +31,9 @@ def inverse_loss(model, observations, actions, next_observations, latent_noise, 
     """Mean squared error of tanh of a drawn u, plus half the mean KL of q to the standard normal."""
     actions = np.minimum(np.maximum(numbers(actions), -0.999), 0.999)
     pair = _joined(observations, next_observations)
-    mean, log_std = np.split(mlp(model.encoder, _joined(pair, actions) if model.encode_target else pair), 2, axis=1)
+    mean, log_std = np.split(
+        mlp(model.cvae.encoder, _joined(pair, actions) if model.cvae.sees_target else pair), 2, axis=1
+    )
     action_mean, action_std = _action(model, pair, mean + np.exp(log_std) * numbers(latent_noise))
     error = np.tanh(action_mean + action_std * numbers(action_noise)) - actions
     kl = [divergence(m, np.exp(s), 0.0 * m, 1.0 + 0.0 * s) for m, s in zip(mean, log_std, strict=True)]

@@ -8,18 +8,16 @@ at the pace of the slow copies. Both clocks are skipped by fitting the logged re
 whoever acted in the log; training takes them from there.
 """
 
-from collections.abc import Callable
-from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
-import jax.random as jr
 import numpy as np
-import optax
-from jaxtyping import Array, Float, PRNGKeyArray, PyTree
+from jaxtyping import Array, Float, PRNGKeyArray
 
 from odaf.components.critics import CriticEnsemble
 from odaf.components.distributions import tanh_gaussian_log_density
+from odaf.components.fitting import Batch, Progress, fit
 from odaf.components.losses import ensemble_td_gradient
 from odaf.components.policies import GaussianActor
 from odaf.data.dataset import Dataset
@@ -58,7 +56,7 @@ def fit_to_log(
     steps: int,
     batch_size: int,
     learning_rate: float,
-    progress: Callable[[int, int], None],
+    progress: Progress,
 ) -> tuple[GaussianActor, CriticEnsemble, dict[str, float]]:
     """Adam on both losses, with fresh moments that are thrown away afterwards.
 
@@ -81,37 +79,55 @@ def fit_to_log(
     scaled = np.clip(
         scale_actions(dataset.actions, dataset.action_low, dataset.action_high), -LARGEST_ACTION, LARGEST_ACTION
     )
-    columns = tuple(map(jnp.asarray, (normaliser.normalise(dataset.observations), scaled, returns)))
-    optimiser = optax.adam(learning_rate)
-
-    @partial(jax.jit, donate_argnums=0)
-    def stretch(carry: PyTree, columns: tuple[Array, ...], keys: Array) -> tuple[PyTree, tuple[Array, Array]]:
-        def step(carry: PyTree, key: PRNGKeyArray) -> tuple[PyTree, tuple[Array, Array]]:
-            networks, moments = carry
-            rows = jr.randint(key, (batch_size,), 0, returns.shape[0])
-            observations, actions, targets = (column[rows] for column in columns)
-            critic_gradient, critic_loss, _ = ensemble_td_gradient(networks[1], observations, actions, targets)
-
-            def cloning_loss(actor: GaussianActor) -> Float[Array, ""]:
-                return -jnp.mean(tanh_gaussian_log_density(*actor.parameters(observations), actions))
-
-            actor_loss, actor_gradient = jax.value_and_grad(cloning_loss)(networks[0])
-            gradient: PyTree = (actor_gradient, critic_gradient)
-            updates, moments = optimiser.update(gradient, moments, networks)
-            return (optax.apply_updates(networks, updates), moments), (actor_loss, critic_loss)
-
-        carry, losses = jax.lax.scan(step, carry, keys)
-        return carry, jax.tree.map(jnp.mean, losses)
-
-    networks: PyTree = (actor, critics)
-    carry = jax.tree.map(jnp.copy, (networks, optimiser.init(networks)))
-    keys = jr.split(key, steps)
-    losses = jnp.nan, jnp.nan
-    for done in range(0, steps, STRETCH):
-        carry, losses = stretch(carry, columns, keys[done : done + STRETCH])
-        jax.block_until_ready(losses)
-        progress(min(done + STRETCH, steps), steps)
-    (actor, critics), _ = carry
+    fitted = fit(
+        (actor, critics),
+        _loss,
+        tuple(map(jnp.asarray, (normaliser.normalise(dataset.observations), scaled, returns))),
+        steps=steps,
+        batch_size=batch_size,
+        learning_rate=learning_rate,
+        noisy=False,
+        stretch=STRETCH,
+        key=key,
+        progress=progress,
+        what="warm start",
+        remedy="lower critic_learning_rate or check the log for outliers with `odaf data info`",
+    )
+    actor, critics = fitted.model
     members = critics.networks.biases[0].shape[0]
-    error = float(losses[1]) / members / max(float(np.var(returns)), 1e-12)
-    return actor, critics, {"value_error_share": error, "action_log_density": -float(losses[0])}
+    error = fitted.means["critics"] / members / max(float(np.var(returns)), 1e-12)
+    return actor, critics, {"value_error_share": error, "action_log_density": -fitted.means["actor"]}
+
+
+def _loss(
+    networks: tuple[GaussianActor, CriticEnsemble], batch: Batch, key: PRNGKeyArray
+) -> tuple[Float[Array, ""], dict[str, Float[Array, ""]]]:
+    del key
+    observations, actions, returns = batch
+    actor_loss = -jnp.mean(tanh_gaussian_log_density(*networks[0].parameters(observations), actions))
+    critic_loss = _ensemble_loss(networks[1], observations, actions, returns)
+    return actor_loss + critic_loss, {"actor": actor_loss, "critics": critic_loss}
+
+
+@jax.custom_vjp
+def _ensemble_loss(
+    critics: CriticEnsemble,
+    observations: Float[Array, "rows obs_dim"],
+    actions: Float[Array, "rows act_dim"],
+    returns: Float[Array, " rows"],
+) -> Float[Array, ""]:
+    """L_Q; its gradient, in the critics alone, is that of `ensemble_td_gradient`: member by member, with the value."""
+    return ensemble_td_gradient(critics, observations, actions, returns)[1]
+
+
+def _forward(critics: CriticEnsemble, *batch: Array) -> tuple[Float[Array, ""], Any]:
+    gradient, loss, _ = ensemble_td_gradient(critics, *batch)
+    return loss, (gradient, batch)
+
+
+def _backward(residuals: Any, slope: Float[Array, ""]) -> Any:
+    gradient, batch = residuals
+    return jax.tree.map(lambda leaf: slope * leaf, gradient), *map(jnp.zeros_like, batch)
+
+
+_ensemble_loss.defvjp(_forward, _backward)

@@ -12,24 +12,20 @@ import dataclasses
 from typing import Any, Literal
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import jax.random as jr
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from odaf.components.distributions import gaussian_divergence
-from odaf.components.networks import MLP, init_mlp
-from odaf.components.pretraining import Progress, Rows, minimise, normalised_rows, split_rows
+from odaf.components.cvae import CVAE, KL_WEIGHT, init_cvae, latent_divergence
+from odaf.components.fitting import Fitted, Progress, fit, of_rows
+from odaf.components.pretraining import Rows, SplitRows, split_columns
 from odaf.data.dataset import Dataset
 from odaf.data.normalisation import Normaliser
 from odaf.errors import ConfigError
 
-KL_WEIGHT = 0.5
-PRIOR_CLIP = 0.5
 ACTION_CLIP = 0.999
 LOG_STD_MAX = 2.0
-HOLDOUT_ROWS = 20_000
 
 
 @dataclasses.dataclass(frozen=True)
@@ -56,11 +52,15 @@ class InverseDynamicsConfig:
     """Course of the learning rate: down to zero over the steps, or constant."""
     holdout: float = 0.05
     """Share of the episodes kept out of training to measure the error on."""
+    patience: int | None = None
+    """Stop after so many checks of that error, one every 1,000 steps, without a new lowest one, and keep the model that
+    had it; None trains for all steps and keeps the last."""
 
     def __post_init__(self) -> None:
-        for field in ("latent_dim", "steps", "batch_size"):
-            if getattr(self, field) < 1:
-                raise ConfigError(f"model.{field}={getattr(self, field)} must be at least 1")
+        for field in ("latent_dim", "steps", "batch_size", "patience"):
+            count = getattr(self, field)
+            if count is not None and count < 1:
+                raise ConfigError(f"model.{field}={count} must be at least 1")
         if not self.hidden_sizes or min(self.hidden_sizes) < 1:
             raise ConfigError(f"model.hidden_sizes={self.hidden_sizes} must be one or more widths of at least 1")
         if self.log_std_min >= LOG_STD_MAX:
@@ -75,21 +75,14 @@ class InverseDynamicsConfig:
 class InverseDynamics(eqx.Module):
     """I(a | s, s') as a Gaussian before the tanh, given noise for z."""
 
-    network: MLP  # the decoder
-    encoder: MLP
+    cvae: CVAE  # of (s, s'); its target is a
     log_std_scale: Float[Array, ""]  # c
     log_std_offset: Float[Array, ""]  # b
     log_std_min: float = eqx.field(static=True)
-    encode_target: bool = eqx.field(static=True)
-
-    @property
-    def latent_dim(self) -> int:
-        """Width of z."""
-        return self.encoder.weights[-1].shape[-1] // 2
 
     def draw_noise(self, key: PRNGKeyArray, rows: int) -> Float[Array, "rows latent_dim"]:
         """Standard normal noise for z."""
-        return jr.normal(key, (rows, self.latent_dim))
+        return self.cvae.draw_noise(key, rows)
 
     def parameters(
         self,
@@ -99,10 +92,7 @@ class InverseDynamics(eqx.Module):
     ) -> tuple[Float[Array, "rows act_dim"], Float[Array, "rows act_dim"]]:
         """Mean and log standard deviation of the action before the tanh, for one z a row."""
         pair = jnp.concatenate([observations, next_observations], axis=-1)
-        if self.encode_target:
-            return self._decode(pair, jnp.clip(noise, -PRIOR_CLIP, PRIOR_CLIP))
-        mean, log_std = jnp.split(self.encoder(pair), 2, axis=-1)
-        return self._decode(pair, mean + jnp.exp(log_std) * noise)
+        return self._gaussian(self.cvae.decode(pair, self.cvae.latent_for(pair, noise)))
 
     def loss(
         self,
@@ -115,37 +105,47 @@ class InverseDynamics(eqx.Module):
         key_latent, key_action = jr.split(key)
         pair = jnp.concatenate([observations, next_observations], axis=-1)
         actions = jnp.clip(actions, -ACTION_CLIP, ACTION_CLIP)
-        condition = jnp.concatenate([pair, actions], axis=-1) if self.encode_target else pair
-        latent_mean, latent_log_std = jnp.split(self.encoder(condition), 2, axis=-1)
-        latent = latent_mean + jnp.exp(latent_log_std) * jr.normal(key_latent, latent_mean.shape)
-        mean, log_std = self._decode(pair, latent)
+        normal = self.draw_noise(key_latent, observations.shape[0])
+        output, latent_mean, latent_log_std = self.cvae.reconstruct(pair, actions, normal)
+        mean, log_std = self._gaussian(output)
         drawn = jnp.tanh(mean + jnp.exp(log_std) * jr.normal(key_action, mean.shape))
-        origin = jnp.zeros_like(latent_mean)
-        divergence = jnp.mean(gaussian_divergence(latent_mean, latent_log_std, origin, origin))
+        divergence = jnp.mean(latent_divergence(latent_mean, latent_log_std))
         return jnp.mean(jnp.square(drawn - actions)) + KL_WEIGHT * divergence
 
-    def _decode(
-        self, pair: Float[Array, "rows two_obs_dim"], latent: Float[Array, "rows latent_dim"]
+    def central(
+        self, observations: Float[Array, "rows obs_dim"], next_observations: Float[Array, "rows obs_dim"]
     ) -> tuple[Float[Array, "rows act_dim"], Float[Array, "rows act_dim"]]:
-        mean, output = jnp.split(self.network(jnp.concatenate([pair, latent], axis=-1)), 2, axis=-1)
+        """`parameters` for the central z."""
+        return self.parameters(
+            observations, next_observations, jnp.zeros((observations.shape[0], self.cvae.latent_dim))
+        )
+
+    def _gaussian(
+        self, output: Float[Array, "rows two_act_dim"]
+    ) -> tuple[Float[Array, "rows act_dim"], Float[Array, "rows act_dim"]]:
+        mean, output = jnp.split(output, 2, axis=-1)
         log_std = self.log_std_scale * output + self.log_std_offset
         return mean, jnp.clip(log_std, self.log_std_min, LOG_STD_MAX)
 
 
 def untrained_inverse(config: InverseDynamicsConfig, key: PRNGKeyArray, obs_dim: int, act_dim: int) -> InverseDynamics:
     """Draw the networks of a model; c starts at 1 and b at -1."""
-    key_encoder, key_decoder = jr.split(key)
-    hidden, pair = config.hidden_sizes, 2 * obs_dim
-    condition = pair + (act_dim if config.encode_target else 0)
-    encoder = init_mlp(key_encoder, (condition, *hidden, hidden[-1], 2 * config.latent_dim), hidden_bias=0.0)
-    decoder = init_mlp(key_decoder, (pair + config.latent_dim, *hidden, 2 * act_dim), hidden_bias=0.0)
+    hidden = config.hidden_sizes
+    cvae = init_cvae(
+        key,
+        condition_dim=2 * obs_dim,
+        target_dim=act_dim,
+        output_dim=2 * act_dim,
+        latent_dim=config.latent_dim,
+        encoder_sizes=(*hidden, hidden[-1]),
+        decoder_sizes=hidden,
+        sees_target=config.encode_target,
+    )
     return InverseDynamics(
-        network=decoder,
-        encoder=encoder,
+        cvae=cvae,
         log_std_scale=jnp.asarray(1.0),
         log_std_offset=jnp.asarray(-1.0),
         log_std_min=config.log_std_min,
-        encode_target=config.encode_target,
     )
 
 
@@ -177,44 +177,56 @@ def fit_inverse(
     """
     key_split, key_init, key_train = jr.split(key, 3)
     what = "inverse-dynamics model"
-    train, holdout = split_rows(dataset, config.holdout, key_split, what, f"leave out the term ({term}.weight=0)")
-    rows = normalised_rows(dataset, normaliser, train)
-    model = untrained_inverse(config, key_init, dataset.obs_dim, dataset.act_dim)
-    model, training_loss = minimise(
-        model,
-        lambda model, batch, key: model.loss(*batch, key),
-        rows,
-        trainable=jax.tree.map(eqx.is_inexact_array, model),
+    rows = split_columns(dataset, normaliser, config.holdout, key_split, what, f"leave out the term ({term}.weight=0)")
+    fitted = fit(
+        untrained_inverse(config, key_init, dataset.obs_dim, dataset.act_dim),
+        _loss,
+        rows.columns,
+        rows=rows.train,
         steps=config.steps,
         batch_size=config.batch_size,
         learning_rate=config.learning_rate,
         schedule=config.schedule,
+        stopping=rows.stopping(_errors, config.patience),
         key=key_train,
         progress=progress,
         what=what,
         remedy=f"lower {term}.model.learning_rate or check the log for outliers with `odaf data info`",
     )
-    check = normalised_rows(dataset, normaliser, holdout[:HOLDOUT_ROWS])
-    return model, _report(model, check, np.asarray(rows[1]).mean(axis=0), training_loss, term)
+    return fitted.model, _report(fitted, rows, term)
 
 
-def _report(
-    model: InverseDynamics, check: Rows, mean_action: np.ndarray, training_loss: float, term: str
-) -> dict[str, Any]:
-    observations, actions, next_observations = check
-    centre = jnp.zeros((len(observations), model.latent_dim))
-    mean, log_std = eqx.filter_jit(lambda m: m.parameters(observations, next_observations, centre))(model)
-    by_dimension = np.mean(np.square(np.tanh(np.asarray(mean)) - np.asarray(actions)), axis=0)
+def _loss(
+    model: InverseDynamics, batch: Rows, key: PRNGKeyArray
+) -> tuple[Float[Array, ""], dict[str, Float[Array, ""]]]:
+    return model.loss(*batch, key), {}
+
+
+def _central(model: InverseDynamics, batch: Rows) -> Float[Array, "rows two act_dim"]:
+    return jnp.stack(model.central(batch[0], batch[2]), axis=1)
+
+
+def _errors(model: InverseDynamics, batch: Rows) -> Float[Array, " rows"]:
+    """Mean squared error of the central action of every row."""
+    mean, _ = model.central(batch[0], batch[2])
+    return jnp.mean(jnp.square(jnp.tanh(mean) - batch[1]), axis=-1)
+
+
+def _report(fitted: Fitted[InverseDynamics], rows: SplitRows, term: str) -> dict[str, Any]:
+    _, actions, _ = rows.measured()
+    central = of_rows(_central, fitted.model, rows.columns, rows.train, rows.last_measured)
+    by_dimension = np.mean(np.square(np.tanh(central[:, 0]) - actions), axis=0)
     error = float(by_dimension.mean())
-    naive = float(np.mean(np.square(mean_action - np.asarray(actions))))
+    naive = float(np.mean(np.square(rows.training()[1].mean(axis=0) - actions)))
     report: dict[str, Any] = {
-        "training_loss": training_loss,
-        "holdout_rows": len(observations),
+        "steps": fitted.steps,
+        "training_loss": fitted.means["loss"],
+        "holdout_rows": len(actions),
         "holdout_mse": error,
         "holdout_mse_by_dimension": [float(v) for v in by_dimension],
         "mean_action_mse": naive,
         "error_ratio": error / naive if naive > 0 else float("inf"),
-        "mean_log_std": float(np.mean(np.asarray(log_std))),
+        "mean_log_std": float(np.mean(central[:, 1])),
         "warnings": [],
     }
     if not error < naive:

@@ -1,27 +1,71 @@
-"""Pre-training of a side model on a log: rows split by episode, and Adam on random batches of them."""
+"""Rows of a log for a side model: some episodes to train on, the others to measure its error on."""
 
-import functools
-from collections.abc import Callable
-from typing import Any, Literal, TypeVar
+import dataclasses
 
-import equinox as eqx
-import jax
 import jax.numpy as jnp
 import jax.random as jr
 import numpy as np
-import optax
-from jaxtyping import Array, Float, Int, PRNGKeyArray, PyTree
+from jaxtyping import Array, PRNGKeyArray
 
+from odaf.components.fitting import EarlyStopping, OfRows
 from odaf.data.dataset import Dataset
 from odaf.data.normalisation import Normaliser
-from odaf.errors import DatasetError, DivergenceError
+from odaf.errors import DatasetError
 
-STRETCH = 1_000
+HOLDOUT_ROWS = 20_000  # measured at most, in reports and for early stopping
 
-Model = TypeVar("Model", bound=PyTree)
 Rows = tuple[Array, Array, Array]  # states, actions, next states
-Progress = Callable[[int, int], None]
-Schedule = Literal["cosine", "constant"]
+HostRows = tuple[np.ndarray, np.ndarray, np.ndarray]
+
+
+@dataclasses.dataclass(frozen=True)
+class SplitRows:
+    """Rows that a side model trains on, and after them those that are held out, on the device.
+
+    How many rows there are in all does not depend on the key that splits them, so neither do compiled programs.
+    """
+
+    columns: Rows
+    train: int
+    """Rows to train on, from the first on."""
+
+    @property
+    def total(self) -> int:
+        """Rows in all."""
+        return self.columns[0].shape[0]
+
+    @property
+    def last_measured(self) -> int:
+        """Row to stop before when an error is measured from row `train` on."""
+        return min(self.total, self.train + HOLDOUT_ROWS)
+
+    def training(self) -> HostRows:
+        """The rows to train on, on the host."""
+        return self._on_host(0, self.train)
+
+    def measured(self) -> HostRows:
+        """The held-out rows that an error is measured on, on the host."""
+        return self._on_host(self.train, self.last_measured)
+
+    def stopping(self, error: OfRows, patience: int | None) -> EarlyStopping | None:
+        """Early stopping by an error of the measured rows; None without patience."""
+        return None if patience is None else EarlyStopping(error, self.train, self.last_measured, patience)
+
+    def _on_host(self, first: int, last: int) -> HostRows:
+        states, actions, next_states = (np.asarray(column)[first:last] for column in self.columns)
+        return states, actions, next_states
+
+
+def split_columns(
+    dataset: Dataset, normaliser: Normaliser, share: float, key: PRNGKeyArray, model: str, remedy: str
+) -> SplitRows:
+    """The rows of `split_rows` as a learner sees them.
+
+    Raises:
+        DatasetError: as `split_rows`.
+    """
+    train, holdout = split_rows(dataset, share, key, model, remedy)
+    return SplitRows(normalised_rows(dataset, normaliser, np.concatenate([train, holdout])), len(train))
 
 
 def split_rows(
@@ -67,76 +111,3 @@ def normalised_rows(dataset: Dataset, normaliser: Normaliser, rows: np.ndarray) 
         jnp.asarray(actions, dtype=jnp.float32),
         jnp.asarray(normaliser.normalise(dataset.next_observations[rows]), dtype=jnp.float32),
     )
-
-
-def minimise(
-    model: Model,
-    loss: Callable[[Model, Rows, PRNGKeyArray], Float[Array, ""]],
-    rows: Rows,
-    *,
-    trainable: PyTree,
-    steps: int,
-    batch_size: int,
-    learning_rate: float,
-    schedule: Schedule,
-    key: PRNGKeyArray,
-    progress: Progress,
-    what: str,
-    remedy: str,
-    bootstraps: Int[Array, "members rows"] | None = None,
-) -> tuple[Model, float]:
-    """Adam on batches drawn with replacement.
-
-    Args:
-        model: where to start.
-        loss: of a model, a batch and a key.
-        rows: what batches are drawn from.
-        trainable: a tree of booleans in the model's structure; the rest stays as it is.
-        steps: gradient steps.
-        batch_size: rows a batch, for every member if there are `bootstraps`.
-        learning_rate: step size at the start.
-        schedule: "cosine" lets it fall to zero over the steps, "constant" keeps it.
-        key: random key for batches and losses.
-        progress: called with (steps done, steps in all) after every stretch.
-        what: the model's name, for error messages.
-        remedy: what to do if the loss diverges, for the same messages.
-        bootstraps: row indices of each member's own sample; batches then have a leading axis of members.
-
-    Returns:
-        The model and the mean training loss of the last stretch.
-
-    Raises:
-        DivergenceError: the training loss stopped being finite.
-    """
-    rate = optax.cosine_decay_schedule(learning_rate, steps) if schedule == "cosine" else learning_rate
-    optimiser = optax.adam(rate)
-    split = functools.partial(eqx.partition, filter_spec=trainable)
-    moments = optimiser.init(split(model)[0])
-
-    @eqx.filter_jit(donate="all-except-first")
-    def stretch(data, model, moments, indices) -> Any:
-        def step(carry, index):
-            model, moments = carry
-            key_draw, key_loss = jr.split(jr.fold_in(key, index))
-            shape = (batch_size,) if bootstraps is None else (bootstraps.shape[0], batch_size)
-            picked = jr.randint(key_draw, shape, 0, data[0].shape[0])
-            if bootstraps is not None:
-                picked = jnp.take_along_axis(bootstraps, picked, axis=1)
-            batch = tuple(column[picked] for column in data)
-            parameters, rest = split(model)
-            value, gradient = jax.value_and_grad(lambda p: loss(eqx.combine(p, rest), batch, key_loss))(parameters)
-            updates, moments = optimiser.update(gradient, moments, parameters)
-            return (eqx.combine(optax.apply_updates(parameters, updates), rest), moments), value
-
-        return jax.lax.scan(step, (model, moments), indices)
-
-    done, training_loss = 0, float("nan")
-    while done < steps:
-        count = min(STRETCH, steps - done)
-        (model, moments), losses = stretch(rows, model, moments, jnp.arange(done, done + count))
-        done += count
-        training_loss = float(jnp.mean(losses))
-        if not np.isfinite(float(losses[-1])):
-            raise DivergenceError(f"{what}: the training loss is not finite after {done} steps; {remedy}")
-        progress(done, steps)
-    return model, training_loss

@@ -6,9 +6,9 @@ from typing import Literal
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 
-from odaf.components.networks import MLP
 from odaf.errors import ConfigError
 
 
@@ -32,6 +32,9 @@ class DynamicsConfig:
     """Course of the learning rate: down to zero over the steps, or constant."""
     holdout: float = 0.05
     """Share of the episodes kept out of training to measure the error on."""
+    patience: int | None = None
+    """Stop after so many checks of that error, one every 1,000 steps, without a new lowest one, and keep the model that
+    had it; None trains for all steps and keeps the last."""
     members: int = 7
     """Networks trained (ensemble only)."""
     elites: int = 5
@@ -42,10 +45,11 @@ class DynamicsConfig:
     """What the cvae's encoder sees: (s, a) as printed in the paper, or (s, a, s'), a true posterior."""
 
     def __post_init__(self) -> None:
-        counts = ("steps", "batch_size", "members", "elites", "latent_dim")
+        counts = ("steps", "batch_size", "patience", "members", "elites", "latent_dim")
         for field in counts:
-            if getattr(self, field) < 1:
-                raise ConfigError(f"dynamics.{field}={getattr(self, field)} must be at least 1")
+            count = getattr(self, field)
+            if count is not None and count < 1:
+                raise ConfigError(f"dynamics.{field}={count} must be at least 1")
         if not self.hidden_sizes or min(self.hidden_sizes) < 1:
             raise ConfigError(f"dynamics.hidden_sizes={self.hidden_sizes} must be one or more widths of at least 1")
         if self.kind == "ensemble" and self.elites > self.members:
@@ -65,7 +69,6 @@ class DynamicsModel(eqx.Module):
     Randomness comes in as explicit noise, so that a caller who scored several draws can evaluate a chosen one again.
     """
 
-    network: eqx.AbstractVar[MLP]
     shift: eqx.AbstractVar[Float[Array, " obs_dim"]]
     scale: eqx.AbstractVar[Float[Array, " obs_dim"]]
     residual: eqx.AbstractVar[bool]
@@ -124,13 +127,18 @@ class DynamicsModel(eqx.Module):
     ) -> Float[Array, ""]:
         """Training loss; arrays have a leading axis of `bootstraps` when that is not None."""
 
-    def finished(
+    def errors(
         self,
         observations: Float[Array, "rows obs_dim"],
         actions: Float[Array, "rows act_dim"],
         next_observations: Float[Array, "rows obs_dim"],
-        elites: int,
-    ) -> "DynamicsModel":
-        """The model to keep after training, given the hold-out rows; an ensemble keeps its best members."""
-        del observations, actions, next_observations, elites
+    ) -> Float[Array, "rows members"]:
+        """Mean squared error of every row's mean output, by member; a model without members is one."""
+        wanted = self.to_output(observations, next_observations)
+        found = self.to_output(observations, self.expected(observations, actions))
+        return jnp.mean(jnp.square(found - wanted), axis=-1)[:, None]
+
+    def finished(self, errors: Float[np.ndarray, " members"], elites: int) -> "DynamicsModel":
+        """The model to keep after training, given its `errors` on rows held out; an ensemble keeps its best members."""
+        del errors, elites
         return self

@@ -1,9 +1,9 @@
 """A dynamics model of the configured kind, before training."""
 
 import jax.numpy as jnp
-import jax.random as jr
 from jaxtyping import PRNGKeyArray
 
+from odaf.components.cvae import init_cvae
 from odaf.components.dynamics.base import DynamicsConfig, DynamicsModel
 from odaf.components.dynamics.cvae import CVAEDynamics
 from odaf.components.dynamics.deterministic import DeterministicDynamics
@@ -48,16 +48,14 @@ def untrained(
             scale=scale,
             residual=config.residual,
         )
-    key_encoder, key_decoder = jr.split(key)
-    sees_target = config.encoder == "transition"
-    condition = inputs + (obs_dim if sees_target else 0)
-    encoder = init_mlp(key_encoder, (condition, *hidden, hidden[-1], 2 * config.latent_dim), hidden_bias=0.0)
-    decoder = init_mlp(key_decoder, (inputs + config.latent_dim, *hidden, obs_dim), hidden_bias=0.0)
-    return CVAEDynamics(
-        network=decoder,
-        encoder=encoder,
-        shift=shift,
-        scale=scale,
-        residual=config.residual,
-        sees_target=sees_target,
+    cvae = init_cvae(
+        key,
+        condition_dim=inputs,
+        target_dim=obs_dim,
+        output_dim=obs_dim,
+        latent_dim=config.latent_dim,
+        encoder_sizes=(*hidden, hidden[-1]),
+        decoder_sizes=hidden,
+        sees_target=config.encoder == "transition",
     )
+    return CVAEDynamics(cvae=cvae, shift=shift, scale=scale, residual=config.residual)

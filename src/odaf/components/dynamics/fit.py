@@ -7,15 +7,14 @@ import jax
 import jax.numpy as jnp
 import jax.random as jr
 import numpy as np
-from jaxtyping import PRNGKeyArray
+from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from odaf.components.dynamics.base import DynamicsConfig, DynamicsModel
 from odaf.components.dynamics.build import untrained
-from odaf.components.pretraining import Progress, minimise, normalised_rows, split_rows
+from odaf.components.fitting import Fitted, Progress, bootstrap_rows, fit, of_rows
+from odaf.components.pretraining import Rows, SplitRows, split_columns
 from odaf.data.dataset import Dataset
 from odaf.data.normalisation import Normaliser
-
-HOLDOUT_ROWS = 20_000
 
 
 def fit_dynamics(
@@ -39,43 +38,78 @@ def fit_dynamics(
         DatasetError: the log has fewer than two rows whose successor is known.
     """
     key_split, key_init, key_bootstrap, key_train = jr.split(key, 4)
-    train, holdout = split_rows(
-        dataset, config.holdout, key_split, "dynamics model", "leave out the outcome term (outcome.weight=0)"
+    rows = split_columns(
+        dataset,
+        normaliser,
+        config.holdout,
+        key_split,
+        "dynamics model",
+        "leave out the outcome term (outcome.weight=0)",
     )
-    rows = normalised_rows(dataset, normaliser, train)
-    check = normalised_rows(dataset, normaliser, holdout)
-
     model = untrained(config, key_init, dataset.obs_dim, dataset.act_dim, members=config.members)
     model = _with_output_scaling(model, rows)
-    table = None
-    if model.bootstraps is not None:  # each member's sample with replacement, drawn once
-        table = jr.randint(key_bootstrap, (model.bootstraps, len(train)), 0, len(train))
-    model, training_loss = minimise(
+    table, members = None, model.bootstraps
+    if members is not None:
+        table = bootstrap_rows(key_bootstrap, members, rows.train, rows.total)
+    fitted = fit(
         model,
-        lambda model, batch, key: model.loss(*batch, key),
-        rows,
+        _loss,
+        rows.columns,
+        rows=rows.train,
+        bootstraps=table,
+        members=members,
         trainable=_trainable(model),
         steps=config.steps,
         batch_size=config.batch_size,
         learning_rate=config.learning_rate,
         schedule=config.schedule,
+        stopping=rows.stopping(_mean_error, config.patience),
         key=key_train,
         progress=progress,
         what=f"dynamics model ({config.kind})",
         remedy="lower dynamics.learning_rate or check the log for outliers with `odaf data info`",
-        bootstraps=table,
     )
-    model = model.finished(*check, config.elites)
-    return model, _report(config, model, check, training_loss)
+    errors = of_rows(_errors, fitted.model, rows.columns, rows.train).mean(axis=0)
+    model = fitted.model.finished(errors, config.elites)
+    return model, _report(config, model, rows, fitted)
 
 
-def _with_output_scaling(model: DynamicsModel, rows) -> DynamicsModel:
+def _loss(model: DynamicsModel, batch: Rows, key: PRNGKeyArray) -> tuple[Float[Array, ""], dict[str, Float[Array, ""]]]:
+    return model.loss(*batch, key), {}
+
+
+def _errors(model: DynamicsModel, batch: Rows) -> Float[Array, "rows members"]:
+    return model.errors(*batch)
+
+
+def _mean_error(model: DynamicsModel, batch: Rows) -> Float[Array, " rows"]:
+    return jnp.mean(model.errors(*batch), axis=1)
+
+
+def _expected(model: DynamicsModel, batch: Rows) -> Float[Array, "rows obs_dim"]:
+    return model.expected(batch[0], batch[1])
+
+
+def _with_output_scaling(model: DynamicsModel, rows: SplitRows) -> DynamicsModel:
     """Set shift and scale to the mean and spread of the changes; absolute models keep raw outputs."""
     if not model.residual:
         return model
-    change = rows[2] - rows[0]
-    spread = jnp.maximum(jnp.std(change, axis=0), 1e-6)
-    return eqx.tree_at(lambda m: (m.shift, m.scale), model, (jnp.mean(change, axis=0), spread))
+    states, _, next_states = rows.columns
+    shift, scale = _change(states, next_states, jnp.asarray(rows.train))
+    return eqx.tree_at(lambda m: (m.shift, m.scale), model, (shift, scale))
+
+
+@jax.jit
+def _change(
+    states: Float[Array, "rows obs_dim"], next_states: Float[Array, "rows obs_dim"], count: Int[Array, ""]
+) -> tuple[Float[Array, " obs_dim"], Float[Array, " obs_dim"]]:
+    """Mean and standard deviation of the changes in the first `count` rows, whose number is no shape of the program."""
+    counted = (jnp.arange(states.shape[0]) < count)[:, None]
+    number = count.astype(states.dtype)
+    change = next_states - states
+    mean = jnp.sum(jnp.where(counted, change, 0.0), axis=0) * (1.0 / number)  # rounds as `jnp.mean` of these rows does
+    variance = jnp.sum(jnp.where(counted, jnp.square(change - mean[None]), 0.0), axis=0) / number
+    return mean, jnp.maximum(jnp.sqrt(variance), 1e-6)
 
 
 def _trainable(model: DynamicsModel) -> DynamicsModel:
@@ -84,16 +118,19 @@ def _trainable(model: DynamicsModel) -> DynamicsModel:
     return eqx.tree_at(lambda m: (m.shift, m.scale), mask, (False, False))
 
 
-def _report(config: DynamicsConfig, model: DynamicsModel, check, training_loss: float) -> dict[str, Any]:
-    observations, actions, next_observations = (column[:HOLDOUT_ROWS] for column in check)
-    predicted = eqx.filter_jit(lambda m, s, a: m.expected(s, a))(model, observations, actions)
-    by_dimension = np.mean(np.square(np.asarray(predicted - next_observations)), axis=0)
-    unchanged = np.mean(np.square(np.asarray(observations - next_observations)), axis=0)
+def _report(
+    config: DynamicsConfig, model: DynamicsModel, rows: SplitRows, fitted: Fitted[DynamicsModel]
+) -> dict[str, Any]:
+    observations, _, next_observations = rows.measured()
+    predicted = of_rows(_expected, model, rows.columns, rows.train, rows.last_measured)
+    by_dimension = np.mean(np.square(predicted - next_observations), axis=0)
+    unchanged = np.mean(np.square(observations - next_observations), axis=0)
     error, naive = float(by_dimension.mean()), float(unchanged.mean())
     report: dict[str, Any] = {
         "kind": config.kind,
-        "training_loss": training_loss,
-        "holdout_rows": int(observations.shape[0]),
+        "steps": fitted.steps,
+        "training_loss": fitted.means["loss"],
+        "holdout_rows": len(observations),
         "holdout_mse": error,
         "holdout_mse_by_dimension": [float(v) for v in by_dimension],
         "no_change_mse": naive,

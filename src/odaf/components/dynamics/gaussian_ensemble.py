@@ -4,6 +4,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import jax.random as jr
+import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 
 from odaf.components.dynamics.base import DynamicsModel
@@ -17,7 +18,7 @@ class GaussianEnsembleDynamics(DynamicsModel):
     """Members predict mean and log-variance of the scaled output; a prediction is a draw from one random member.
 
     Differs from MOPO's: no reward head (the outcome term needs states only), outputs scaled by the spread of the
-    changes, a fixed number of steps in place of early stopping, no weight decay.
+    changes, early stopping only where asked for and for all members together, no weight decay.
     """
 
     network: MLP
@@ -79,16 +80,19 @@ class GaussianEnsembleDynamics(DynamicsModel):
         fit = jnp.sum(jnp.mean(error * jnp.exp(-log_variance) + log_variance, axis=(1, 2)))
         return fit + BOUND_WEIGHT * (jnp.sum(self.log_variance_max) - jnp.sum(self.log_variance_min))
 
-    def finished(
+    def errors(
         self,
         observations: Float[Array, "rows obs_dim"],
         actions: Float[Array, "rows act_dim"],
         next_observations: Float[Array, "rows obs_dim"],
-        elites: int,
-    ) -> "GaussianEnsembleDynamics":
-        """The `elites` members with the lowest hold-out error of the mean, best first."""
+    ) -> Float[Array, "rows members"]:
+        """Mean squared error of every row's mean output, by member."""
         mean, _ = self.moments(observations, actions)
-        error = jnp.square(mean - self.to_output(observations, next_observations)[None])
-        best = jnp.argsort(jnp.mean(error, axis=(1, 2)))[:elites]
+        wanted = self.to_output(observations, next_observations)
+        return jnp.mean(jnp.square(mean - wanted[None]), axis=-1).T
+
+    def finished(self, errors: Float[np.ndarray, " members"], elites: int) -> "GaussianEnsembleDynamics":
+        """The `elites` members with the lowest errors, best first."""
+        best = jnp.asarray(np.argsort(errors, kind="stable")[:elites])
         kept = jax.tree.map(lambda leaf: leaf[best] if eqx.is_array(leaf) else leaf, self.network)
         return eqx.tree_at(lambda model: model.network, self, kept)

@@ -1,0 +1,257 @@
+"""One way to fit a network to columns of data: Adam on batches of rows, in compiled stretches, with early stopping.
+
+Whatever is fitted outside the loop of updates goes through `fit`: dynamics models, a start from the log, clones. Data,
+networks, keys and numbers are arguments of the compiled program, so that it is compiled once for a kind of network and
+a shape of data, whichever seed, log or step size it is then called with.
+"""
+
+import dataclasses
+import functools
+import math
+from collections.abc import Callable
+from typing import Any, Generic, Literal, NamedTuple, TypeVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import jax.random as jr
+import numpy as np
+import optax
+from jaxtyping import Array, Float, Int, Integer, PRNGKeyArray, PyTree
+
+from odaf.components.adam import adam_step, initial_moments
+from odaf.components.targets import copy_of, polyak
+from odaf.errors import DivergenceError
+
+STRETCH = 1_000
+BLOCK = 4_096
+
+Model = TypeVar("Model")
+Batch = tuple[Array, ...]
+Schedule = Literal["cosine", "constant"]
+Progress = Callable[[int, int], None]
+# (model, batch, key) -> loss, figures to watch; with a slow copy: (model, batch, key, slow copy)
+Loss = Callable[..., tuple[Float[Array, ""], dict[str, Float[Array, ""]]]]
+# (model, batch) -> array with a leading axis of rows
+OfRows = Callable[[Any, Any], Array]
+
+
+@dataclasses.dataclass(frozen=True)
+class EarlyStopping:
+    """When to stop before the last step, and what to keep then."""
+
+    error: OfRows
+    """(model, batch) -> an error for every row. A function of a module, so that it is compiled once."""
+    first: int
+    """Row of the columns where the rows begin that the error is measured on."""
+    last: int
+    """Row before which they end."""
+    patience: int
+    """Checks in a row without a new lowest mean error, after which fitting stops. There is one after every stretch."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Fitted(Generic[Model]):
+    """A fitted model and how it got there."""
+
+    model: Model
+    """After the last step; with early stopping, the one with the lowest error."""
+    means: dict[str, float]
+    """Of the loss ("loss") and its figures over the last stretch."""
+    steps: int
+    """Taken; early stopping may keep an earlier model."""
+    error: float | None
+    """The lowest mean error that early stopping saw."""
+
+
+class _Recipe(NamedTuple):
+    """What the compiled program is made for."""
+
+    loss: Loss
+    batch_size: int
+    members: int | None
+    schedule: Schedule
+    noisy: bool
+    stretch: int
+
+
+class _State(NamedTuple):
+    parameters: PyTree
+    moments: optax.OptState
+    slow: PyTree  # None without a slow copy
+
+
+def fit(
+    model: Model,
+    loss: Loss,
+    columns: Batch,
+    *,
+    steps: int,
+    batch_size: int,
+    learning_rate: float,
+    key: PRNGKeyArray,
+    what: str,
+    remedy: str,
+    progress: Progress,
+    schedule: Schedule = "constant",
+    rows: int | None = None,
+    bootstraps: Integer[Array, " entries"] | None = None,
+    members: int | None = None,
+    trainable: PyTree | None = None,
+    slow_rate: float | None = None,
+    noisy: bool = True,
+    stretch: int = STRETCH,
+    stopping: EarlyStopping | None = None,
+) -> Fitted[Model]:
+    """Adam on batches drawn with replacement.
+
+    Args:
+        model: where to start; a tree of arrays. It is copied, so that it can be used afterwards.
+        loss: of a model, a batch and a key: the loss, and figures to watch by name. A function of a module and no
+            closure, since each closure is compiled anew; numbers that change from call to call belong in the model, as
+            leaves that are not trainable, or in the columns.
+        columns: what batches are drawn from; arrays with a leading axis of rows.
+        steps: gradient steps.
+        batch_size: rows a batch, for every member if there are `bootstraps`.
+        learning_rate: step size at the start.
+        key: random key for batches and losses.
+        what: the model's name, for error messages.
+        remedy: what to do if the loss diverges, for the same messages.
+        progress: called with (steps done, steps in all) after every stretch.
+        schedule: "cosine" lets the step size fall to zero over the steps, "constant" keeps it.
+        rows: how many of the columns' rows are drawn from, from the first on; None all. The rest may be for `stopping`.
+        bootstraps: of `bootstrap_rows`: each member draws from rows of its own, and batches have an axis of members.
+        members: how many members `bootstraps` are for.
+        trainable: a tree of booleans in the model's structure; the rest stays as it is. None trains all real numbers.
+        slow_rate: share of the model that enters a slow copy of it after each step; the loss is then called with that
+            copy too, under the name `slow`. None keeps no copy.
+        noisy: whether the loss uses its key. If not, the key of a step goes to the batch undivided.
+        stretch: steps in one compiled call.
+        stopping: None takes all steps.
+
+    Raises:
+        DivergenceError: the loss stopped being finite.
+    """
+    trainable = jax.tree.map(eqx.is_inexact_array, model) if trainable is None else trainable
+    parameters, fixed = eqx.partition(model, trainable)
+    parameters = copy_of(parameters)
+    state = _State(parameters, initial_moments(parameters), None if slow_rate is None else copy_of(parameters))
+    recipe = _Recipe(loss, batch_size, members, schedule, noisy, stretch)
+    numbers = {
+        "learning_rate": jnp.asarray(learning_rate, jnp.float32),
+        "turn": jnp.asarray(np.float32(np.pi) * (np.float32(1.0) / np.float32(steps))),  # of the cosine, a step
+        "slow_rate": jnp.asarray(slow_rate or 0.0, jnp.float32),
+    }
+    count = _number(columns[0].shape[0] if rows is None else rows)
+
+    done, means, lowest, best, checks_without_gain = 0, {}, math.inf, None, 0
+    while done < steps:
+        last = min(done + stretch, steps)
+        state, traces = _stretch(
+            recipe, state, fixed, columns, bootstraps, count, numbers, key, _number(done), _number(last)
+        )
+        means = {name: float(jnp.mean(trace[: last - done])) for name, trace in traces.items()}
+        if not np.isfinite(float(traces["loss"][last - done - 1])):
+            raise DivergenceError(f"{what}: the training loss is not finite after {last} steps; {remedy}")
+        done = last
+        progress(done, steps)
+        if stopping is not None:
+            current = eqx.combine(state.parameters, fixed)
+            error = float(np.mean(of_rows(stopping.error, current, columns, stopping.first, stopping.last)))
+            checks_without_gain += 1
+            if error < lowest:
+                lowest, best, checks_without_gain = error, copy_of(state.parameters), 0
+            if checks_without_gain >= stopping.patience:
+                break
+    kept = state.parameters if best is None else best
+    return Fitted(eqx.combine(kept, fixed), means, done, None if stopping is None else lowest)
+
+
+def bootstrap_rows(key: PRNGKeyArray, members: int, rows: int, among: int) -> Integer[Array, " entries"]:
+    """A sample with replacement of the first `rows` rows for every member, one after another.
+
+    Args:
+        key: random key.
+        members: how many samples.
+        rows: entries of each, and rows that they are drawn from.
+        among: rows of the columns. The result has room for samples of that size, so that its shape does not depend on
+            how many of them are held out.
+    """
+    return jr.randint(key, (members * among,), 0, _number(rows))
+
+
+def of_rows(function: OfRows, model: Any, columns: Batch, first: int = 0, last: int | None = None) -> np.ndarray:
+    """What a function says of each of the rows from `first` on, worked through in blocks of one shape.
+
+    Args:
+        function: of a model and a batch; its result has a leading axis of rows. A function of a module, so that it is
+            compiled once.
+        model: handed to the function.
+        columns: arrays with a leading axis of rows.
+        first: row to begin with.
+        last: row to stop before; None goes on to the end.
+    """
+    total = columns[0].shape[0]
+    last = total if last is None else last
+    blocks = [_block(function, model, columns, _number(start)) for start in range(first, last, min(BLOCK, total))]
+    return np.concatenate([np.asarray(block) for block in blocks])[: last - first]
+
+
+@functools.partial(jax.jit, static_argnames="function")
+def _block(function: OfRows, model: Any, columns: Batch, start: Int[Array, ""]) -> Array:
+    total = columns[0].shape[0]
+    rows = jnp.minimum(start + jnp.arange(min(BLOCK, total)), total - 1)  # beyond the end, the last row once more
+    return function(model, tuple(column[rows] for column in columns))
+
+
+@functools.partial(jax.jit, static_argnames="recipe", donate_argnames="state")
+def _stretch(
+    recipe: _Recipe,
+    state: _State,
+    fixed: PyTree,
+    columns: Batch,
+    bootstraps: Integer[Array, " entries"] | None,
+    rows: Int[Array, ""],
+    numbers: dict[str, Float[Array, ""]],
+    key: PRNGKeyArray,
+    first: Int[Array, ""],
+    last: Int[Array, ""],
+) -> tuple[_State, dict[str, Float[Array, " stretch"]]]:
+    """Steps `first` to `last`, at most a stretch of them, and what the loss and its figures were on the way."""
+
+    def batch_of(key: PRNGKeyArray) -> Batch:
+        shape = (recipe.batch_size,) if recipe.members is None else (recipe.members, recipe.batch_size)
+        picked = jr.randint(key, shape, 0, rows)
+        if bootstraps is not None:
+            picked = bootstraps[jnp.arange(shape[0])[:, None] * rows + picked]
+        return tuple(column[picked] for column in columns)
+
+    @jax.jit  # so that it is traced once for both of its uses
+    def step(state: _State, index: Int[Array, ""]) -> tuple[_State, dict[str, Float[Array, ""]]]:
+        key_step = jr.fold_in(key, index)
+        key_draw, key_loss = jr.split(key_step) if recipe.noisy else (key_step, key_step)
+        batch = batch_of(key_draw)
+        slow = {} if state.slow is None else {"slow": eqx.combine(state.slow, fixed)}
+
+        def loss(parameters: PyTree) -> tuple[Float[Array, ""], dict[str, Float[Array, ""]]]:
+            return recipe.loss(eqx.combine(parameters, fixed), batch, key_loss, **slow)
+
+        (value, figures), gradient = jax.value_and_grad(loss, has_aux=True)(state.parameters)
+        rate = numbers["learning_rate"]
+        if recipe.schedule == "cosine":
+            rate = rate * (0.5 * (1.0 + jnp.cos(index.astype(jnp.float32) * numbers["turn"])))
+        parameters, moments = adam_step(rate, gradient, state.moments, state.parameters)
+        slow_copy = None if state.slow is None else polyak(state.slow, parameters, numbers["slow_rate"])
+        return _State(parameters, moments, slow_copy), {**figures, "loss": value}
+
+    def one(index: Int[Array, ""], carry: tuple[_State, dict[str, Array]]) -> tuple[_State, dict[str, Array]]:
+        state, figures = step(carry[0], index)
+        return state, {name: carry[1][name].at[index - first].set(figure) for name, figure in figures.items()}
+
+    _, shapes = jax.eval_shape(step, state, first)
+    traces = {name: jnp.zeros((recipe.stretch,), figure.dtype) for name, figure in shapes.items()}
+    return jax.lax.fori_loop(first, last, one, (state, traces))
+
+
+def _number(value: int) -> Int[Array, ""]:
+    return jnp.asarray(value, jnp.int32)
