@@ -10,10 +10,13 @@ from compilations import counted
 from golden import tiny
 from odaf.algorithms.ensemble_sac import EnsembleSAC
 from odaf.algorithms.ensemble_state import Models
-from odaf.algorithms.warm_start import returns_to_go
+from odaf.algorithms.warm_start import fit_to_log
+from odaf.components.critics import CriticEnsemble, init_critics
 from odaf.components.distributions import sample_tanh_gaussian, tanh_gaussian_log_density
+from odaf.components.policies import init_gaussian_actor
 from odaf.data.dataset import Dataset
 from odaf.data.normalisation import Normaliser, scale_actions
+from odaf.data.returns_to_go import returns_to_go
 from odaf.errors import ConfigError
 
 SMALL = {"num_critics": 2, "hidden_sizes": (32, 32), "batch_size": 64, "warm_start": "returns", "discount": 0.9}
@@ -100,6 +103,27 @@ def test_the_fit_learns_the_logs_values_and_actions_and_training_begins_there():
 
     fresh = EnsembleSAC(**{**SMALL, "warm_start": "none"})
     assert fresh.untrained(jr.key(3), spec) == Models() == fresh.pretrain(dataset, normaliser, jr.key(4), _ignore)[0]
+
+
+def test_either_side_can_be_fitted_alone():
+    dataset = _controlled(4, 10)
+    normaliser, sizes = Normaliser.fit(dataset.observations), (dataset.obs_dim, dataset.act_dim, (8,))
+    actor_before = init_gaussian_actor(jr.key(0), *sizes)
+    critics_before = CriticEnsemble(init_critics(jr.key(1), *sizes, num_critics=2, norm="none", output_bound=0.1))
+    returns = returns_to_go(dataset, 0.9)
+
+    def fitted(actor, critics, returns):
+        given = {"steps": 20, "batch_size": 8, "learning_rate": 1e-3, "progress": lambda *done: None}
+        return fit_to_log(actor, critics, dataset, normaliser, returns, jr.key(1), **given)
+
+    both = fitted(actor_before, critics_before, returns)
+    actor, nothing, about_actor = fitted(actor_before, None, None)
+    assert nothing is None and list(about_actor) == ["action_log_density"]
+    nothing, critics, about_critics = fitted(None, critics_before, returns)
+    assert nothing is None and list(about_critics) == ["value_error_share"]
+    for alone, together in ((actor, both[0]), (critics, both[1])):
+        for ours, theirs in zip(jax.tree.leaves(alone), jax.tree.leaves(together), strict=True):
+            np.testing.assert_allclose(ours, theirs, rtol=1e-4, atol=1e-6)
 
 
 def test_a_second_seed_and_another_step_size_compile_nothing():

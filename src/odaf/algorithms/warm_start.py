@@ -5,10 +5,11 @@
 
 Fresh critics climb to the size of the returns at the pace of the optimiser, and the Bellman targets carry values back
 at the pace of the slow copies. Both clocks are skipped by fitting the logged returns first. These are the values of
-whoever acted in the log; training takes them from there.
+whoever acted in the log; training takes them from there. Either side can be fitted alone.
 """
 
-from typing import Any
+import functools
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -26,46 +27,31 @@ from odaf.data.normalisation import Normaliser, scale_actions
 STRETCH = 500
 LARGEST_ACTION = 0.999  # logged actions are cut to this: the density of +-1 itself is infinite
 
-
-def returns_to_go(dataset: Dataset, discount: float) -> Float[np.ndarray, " rows"]:
-    """G of every row, in the units of the rewards.
-
-    An episode that was cut, by a time limit or by the end of the log, is taken to go on earning the mean reward of its
-    rows; one that truly ended earns nothing more.
-    """
-    from scipy.signal import lfilter  # takes a second to load, so only where it is used
-
-    found = np.empty(len(dataset), np.float64)
-    for index in range(dataset.num_episodes):
-        rows = dataset.episode(index)
-        rewards = dataset.rewards[rows].astype(np.float64)
-        rest = 0.0 if dataset.terminated[rows][-1] else rewards.mean() / (1.0 - discount)
-        backwards, _ = lfilter([1.0], [1.0, -discount], rewards[::-1], zi=[discount * rest])
-        found[rows] = backwards[::-1]
-    return found.astype(np.float32)
+SomeActor = TypeVar("SomeActor", GaussianActor, None)
+SomeCritics = TypeVar("SomeCritics", CriticEnsemble, None)
 
 
 def fit_to_log(
-    actor: GaussianActor,
-    critics: CriticEnsemble,
+    actor: SomeActor,
+    critics: SomeCritics,
     dataset: Dataset,
     normaliser: Normaliser,
-    returns: Float[np.ndarray, " rows"],
+    returns: Float[np.ndarray, " rows"] | None,
     key: PRNGKeyArray,
     *,
     steps: int,
     batch_size: int,
     learning_rate: float,
     progress: Progress,
-) -> tuple[GaussianActor, CriticEnsemble, dict[str, float]]:
+) -> tuple[SomeActor, SomeCritics, dict[str, float]]:
     """Adam on both losses, with fresh moments that are thrown away afterwards.
 
     Args:
-        actor: where the actor starts.
-        critics: where the critics start.
+        actor: where the actor starts; None fits none.
+        critics: where the critics start; None fits none.
         dataset: the log.
         normaliser: its observation scaling.
-        returns: what the critics are fitted to, in their own units.
+        returns: what the critics are fitted to, in their own units; None without critics.
         key: random key; chooses the batches.
         steps: updates.
         batch_size: rows an update.
@@ -74,15 +60,17 @@ def fit_to_log(
 
     Returns:
         The fitted networks, and the losses of the last stretch: mean squared error of the critics over rows and members
-        as a share of the returns' variance, and the actor's log-density in nats.
+        as a share of the returns' variance ("value_error_share"), and the actor's log-density in nats
+        ("action_log_density").
     """
     scaled = np.clip(
         scale_actions(dataset.actions, dataset.action_low, dataset.action_high), -LARGEST_ACTION, LARGEST_ACTION
     )
+    columns = [normaliser.normalise(dataset.observations), scaled, *([] if returns is None else [returns])]
     fitted = fit(
         (actor, critics),
         _loss,
-        tuple(map(jnp.asarray, (normaliser.normalise(dataset.observations), scaled, returns))),
+        tuple(map(jnp.asarray, columns)),
         steps=steps,
         batch_size=batch_size,
         learning_rate=learning_rate,
@@ -94,19 +82,26 @@ def fit_to_log(
         remedy="lower critic_learning_rate or check the log for outliers with `odaf data info`",
     )
     actor, critics = fitted.model
-    members = critics.networks.biases[0].shape[0]
-    error = fitted.means["critics"] / members / max(float(np.var(returns)), 1e-12)
-    return actor, critics, {"value_error_share": error, "action_log_density": -fitted.means["actor"]}
+    findings = {}
+    if critics is not None and returns is not None:
+        members = critics.networks.biases[0].shape[0]
+        findings["value_error_share"] = fitted.means["critics"] / members / max(float(np.var(returns)), 1e-12)
+    if actor is not None:
+        findings["action_log_density"] = -fitted.means["actor"]
+    return actor, critics, findings
 
 
 def _loss(
-    networks: tuple[GaussianActor, CriticEnsemble], batch: Batch, key: PRNGKeyArray
+    networks: tuple[GaussianActor | None, CriticEnsemble | None], batch: Batch, key: PRNGKeyArray
 ) -> tuple[Float[Array, ""], dict[str, Float[Array, ""]]]:
     del key
-    observations, actions, returns = batch
-    actor_loss = -jnp.mean(tanh_gaussian_log_density(*networks[0].parameters(observations), actions))
-    critic_loss = _ensemble_loss(networks[1], observations, actions, returns)
-    return actor_loss + critic_loss, {"actor": actor_loss, "critics": critic_loss}
+    (actor, critics), (observations, actions, *returns) = networks, batch
+    losses = {}
+    if actor is not None:
+        losses["actor"] = -jnp.mean(tanh_gaussian_log_density(*actor.parameters(observations), actions))
+    if critics is not None:
+        losses["critics"] = _ensemble_loss(critics, observations, actions, *returns)
+    return functools.reduce(jnp.add, losses.values()), losses
 
 
 @jax.custom_vjp
