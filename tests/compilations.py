@@ -13,8 +13,8 @@ def counted() -> Iterator[list[str]]:
     """Yields a list that grows by the name of each program that was not ready in this process."""
     programs: list[str] = []
 
-    def listener(event: str, duration: float, **about) -> None:
-        del duration
+    def listener(event: str, duration_secs: float, **about: str | int) -> None:
+        del duration_secs
         if event == _EVENT:
             programs.append(str(about.get("fun_name", event)))
 
