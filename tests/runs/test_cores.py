@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -52,10 +53,11 @@ def _state(out: Path, step: int, seed: int = 0) -> bytes:
 @needs_two_cores
 def test_a_run_begun_on_one_core_keeps_its_bits_on_two(data: Path, tmp_path: Path):
     train = ("train", "behaviour-cloning", "--data", data, "--evaluate-every", "0")
-    _odaf(1, *train, "--steps", "120", "--out", tmp_path / "whole")
+    _odaf(1, *train, "--steps", "120", "--checkpoint-every", "60", "--out", tmp_path / "whole")
     assert json.loads((tmp_path / "whole" / "config.json").read_text())["cores"] == 1
-    _odaf(1, *train, "--steps", "60", "--out", tmp_path / "cut")
-    said = _odaf(2, "resume", tmp_path / "cut", "--steps", "120")
+    shutil.copytree(tmp_path / "whole", tmp_path / "cut")
+    shutil.rmtree(tmp_path / "cut" / "seed-0" / "checkpoints" / "00000120")  # as if it had been killed after 60
+    said = _odaf(2, "resume", tmp_path / "cut")
     assert _state(tmp_path / "cut", 120) == _state(tmp_path / "whole", 120)
     assert "not with the bits" not in said
     record = json.loads((tmp_path / "cut" / "environment.json").read_text())
