@@ -282,7 +282,7 @@ def test_generate_then_info(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     facts = json.loads(capsys.readouterr().out)
     dataset = odaf.Dataset.load(file)
     assert facts["transitions"] == len(dataset)
-    assert facts["sha256"] == dataset.fingerprint()
+    assert (facts["sha256"], facts["rows_sha256"]) == (dataset.file_fingerprint(), dataset.fingerprint())
     assert facts["provenance"]["seed"] == 3
     assert main(["data", "info", str(file)]) == 0
     page = capsys.readouterr().out

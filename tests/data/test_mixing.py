@@ -78,7 +78,7 @@ def test_where_it_came_from():
     assert len(mixed) == 50
     mixture = mixed.provenance["mixture"]
     assert (mixture["construction"], mixture["ratio"]) == ("static", 0.7)
-    assert [part["sha256"] for part in mixture["parts"]] == [expert.fingerprint(), other.fingerprint()]
+    assert [part["sha256"] for part in mixture["parts"]] == [expert.file_fingerprint(), other.file_fingerprint()]
     assert mixed.environment == expert.environment
 
 

@@ -51,7 +51,7 @@ def test_everything_comes_back(path):
     assert_equal(Dataset.load(path), small())
     assert Dataset.load(path).fingerprint() == small().fingerprint()
     with h5py.File(path) as file:
-        assert file.attrs["sha256"] == small().fingerprint()
+        assert file.attrs["sha256"] == small().file_fingerprint()
 
 
 numbers = st.floats(-(2.0**99), 2.0**99, width=32)
@@ -76,7 +76,7 @@ def test_any_dataset_comes_back_bit_for_bit(tmp_path_factory, data, rows, obs_di
     path = tmp_path_factory.mktemp("round") / "trip.h5"
     dataset.save(path)
     assert_equal(Dataset.load(path), dataset)
-    assert Dataset.load(path).fingerprint() == dataset.fingerprint()
+    assert Dataset.load(path).file_fingerprint() == dataset.file_fingerprint()
 
 
 CHANGES = {
@@ -84,13 +84,26 @@ CHANGES = {
     "ends": {"terminated": np.arange(12) == 6},
     "bounds": {"action_bounds": (-1.0, 1.5)},
     "names": {"action_names": ("a", "b")},
+}
+NOTES = {
     "provenance": {"provenance": {"plant": "Nord"}},
+    "units": {"action_units": ("V", "A")},
+    "infos": {"infos": {"temperature": np.arange(12)}},
 }
 
 
 @pytest.mark.parametrize("name", CHANGES)
 def test_fingerprint_tells_any_difference(name):
-    assert small(**CHANGES[name]).fingerprint() != small().fingerprint()
+    changed = small(**CHANGES[name])
+    assert changed.fingerprint() != small().fingerprint()
+    assert changed.file_fingerprint() != small().file_fingerprint()
+
+
+@pytest.mark.parametrize("name", NOTES)
+def test_what_no_learner_sees_changes_the_print_of_the_file_alone(name):
+    noted = small(**NOTES[name])
+    assert noted.fingerprint() == small().fingerprint()
+    assert noted.file_fingerprint() != small().file_fingerprint()
 
 
 def test_fingerprint_is_that_of_the_documented_bytes():
@@ -117,10 +130,14 @@ def test_fingerprint_is_that_of_the_documented_bytes():
         array = getattr(dataset, name)
         digest.update(f"{name} {kind} {array.shape}\n".encode() + array.tobytes())
     content = {name: list(getattr(dataset, name)) for name in ("observation_names", "action_names")}
+    rows = digest.copy()
+    text = json.dumps({**content, "mixture": None}, sort_keys=True, separators=(",", ":")).encode()
+    rows.update(b"rows %d\n" % len(text) + text)
+    assert dataset.fingerprint() == rows.hexdigest()
     content |= {"observation_units": [""] * 3, "action_units": [""] * 2}
     text = json.dumps({**content, "provenance": dataset.provenance}, sort_keys=True, separators=(",", ":")).encode()
     digest.update(b"metadata %d\n" % len(text) + text)
-    assert dataset.fingerprint() == digest.hexdigest()
+    assert dataset.file_fingerprint() == digest.hexdigest()
 
 
 def test_saving_replaces_the_old_file_only_when_complete(path, monkeypatch):
@@ -332,15 +349,15 @@ def test_writing_and_reading_say_how_far_they_have_come(tmp_path, monkeypatch):
         np.arange(120.0).reshape(40, 3), np.zeros((40, 1)), np.zeros(40), episode=np.zeros(40), action_bounds=(-1, 1),
         infos={"wide": np.arange(160).reshape(40, 4), "none": np.zeros((40, 0))},
     )  # fmt: skip
-    print_whole = dataset.fingerprint()
+    print_whole = dataset.file_fingerprint()
     written, read = [], []
     dataset.save(tmp_path / "log.h5", lambda *entry: written.append(entry))
     again = Dataset.load(tmp_path / "log.h5", progress=lambda *entry: read.append(entry))
-    assert again.fingerprint() == print_whole
+    assert again.file_fingerprint() == print_whole
     np.testing.assert_array_equal(again.infos["wide"], dataset.infos["wide"])
     assert steps(written) > 40 and steps(read) > 20
     monkeypatch.undo()
-    assert again.fingerprint() == print_whole, "the size of the pieces is no part of what is summed"
+    assert again.file_fingerprint() == print_whole, "the size of the pieces is no part of what is summed"
 
 
 def test_other_layouts_say_how_far_they_have_come(tmp_path):

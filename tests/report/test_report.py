@@ -328,6 +328,9 @@ def test_runs_on_different_data_are_called_out(run_writer, tmp_path):
     (runs[1] / "data.json").write_text(json.dumps(data | {"sha256": "other"}))
     page = build([tmp_path], tmp_path / "report.html")  # the folder stands for the runs in it
     assert "trained on different data" in page.text
+    for run, file in zip(runs, ("file", "the same file with a note"), strict=True):
+        (run / "data.json").write_text(json.dumps(data | {"sha256": file, "rows_sha256": "rows"}))
+    assert "trained on different data" not in build([tmp_path], tmp_path / "report.html").text
     assert page.row("odaf (one)")[0] and page.row("odaf (two)")[0], "equal methods are told apart by directory"
 
 

@@ -62,7 +62,7 @@ def test_a_log_is_made_once_before_those_who_need_it(tmp_path: Path, monkeypatch
     class File:
         @staticmethod
         def load(path: Path) -> Any:
-            return type("Loaded", (), {"fingerprint": lambda self: f"print of {path.read_text()}"})()
+            return type("Loaded", (), {"file_fingerprint": lambda self: f"print of {path.read_text()}"})()
 
     monkeypatch.setattr("odaf.data.dataset.Dataset", File)
     do(study([job("a"), job("b", source=TextLog()), job("c", source=TextLog())]), tmp_path)

@@ -238,6 +238,24 @@ def test_resume_refuses_what_would_not_be_the_same_run(tiny, tmp_path):
         training.resume(tmp_path / "nowhere", progress=False)
 
 
+def test_a_note_beside_the_rows_forbids_no_resume(tiny, tmp_path):
+    run, noted = _fit(tiny, tmp_path / "run", steps=4), tiny.tiny_dataset().with_provenance(plant="Nord")
+    assert training.resume(run.path, 6, dataset=noted, progress=False).checkpoint(0).step == 6
+    again = {"checkpoint_every": run.config["checkpoint_every"], "stretch": run.config["stretch"], "progress": False}
+    assert training.fit(tiny.TinyLearner(), noted, steps=6, directory=run.path, **again).checkpoint(0).step == 6
+
+
+def test_a_run_from_before_prints_of_rows_is_compared_by_its_file(tiny, tmp_path):
+    run = _fit(tiny, tmp_path / "run", steps=4)
+    record = json.loads((run.path / "data.json").read_text())
+    assert record.pop("rows_sha256") == tiny.tiny_dataset().fingerprint()
+    (run.path / "data.json").write_text(json.dumps(record))
+    assert training.resume(run.path, 6, dataset=tiny.tiny_dataset(), progress=False).checkpoint(0).step == 6
+    for other in (tiny.tiny_dataset(75), tiny.tiny_dataset().with_provenance(plant="Nord")):
+        with pytest.raises(DatasetError, match="fingerprint"):
+            training.resume(run.path, 7, dataset=other, progress=False)
+
+
 def test_resume_reads_the_data_from_the_path_as_the_user_gave_it(tiny, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     tiny.tiny_dataset().save("log.h5")
@@ -304,7 +322,7 @@ def test_run_directory_explains_itself_without_the_dataset(tiny, tmp_path):
     _fit(tiny, tmp_path / "run", preset="small", evaluate=tiny.TinyEvaluator(every=8))
     run = training.load_run(tmp_path / "run")
     assert run.algorithm == tiny.TinyLearner() and run.spec == dataset.spec() and run.config["preset"] == "small"
-    assert run.data["sha256"] == dataset.fingerprint() and run.data["summary"] == dataset.summary()
+    assert run.data["sha256"] == dataset.file_fingerprint() and run.data["summary"] == dataset.summary()
     environment = json.loads((run.path / "environment.json").read_text())
     assert environment["versions"]["jax"] == jax.__version__ and environment["command"] and environment["device"]
 

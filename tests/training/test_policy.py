@@ -167,7 +167,7 @@ def test_names_units_and_provenance_come_from_the_run_and_older_runs_still_load(
     policy = run.policy(seed=0)
     assert policy.observation_names == ("level", "flow", "heat") and policy.action_names == ("valve", "pump")
     assert policy.observation_units == ("m", "m³/s", "°C") and policy.action_units == ("%", "")
-    fingerprint = dataset.fingerprint()
+    fingerprint = dataset.file_fingerprint()
     assert policy.provenance == {
         "learner": "tiny", "preset": "small", "data_sha256": fingerprint, "seed": 0, "step": 2
     }  # fmt: skip

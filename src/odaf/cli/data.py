@@ -113,10 +113,10 @@ def info(arguments: list[str]) -> None:
     """Entry point of `odaf data info`."""
     options = parse(InfoOptions, arguments, "data info")
 
-    from odaf.data import Dataset
+    from odaf.data import Dataset, fingerprint
 
     dataset = Dataset.load(options.file)
-    summary = {"file": str(options.file), "sha256": dataset.fingerprint(), **dataset.summary()}
+    summary = {"file": str(options.file), **fingerprint.record(dataset), **dataset.summary()}
     if options.json:
         print(json.dumps(summary, indent=2))
         return
@@ -141,7 +141,8 @@ def describe(summary: Mapping[str, Any]) -> str:
     environment = provenance.get("environment")
     facts = {
         "file": summary["file"],
-        "fingerprint": summary["sha256"],
+        "fingerprint": summary["rows_sha256"],
+        "whole file": summary["sha256"],
         "transitions": f"{summary['transitions']:,}",
         "episodes": f"{summary['episodes']:,}, mean length {number(summary['mean_length'])}",
         "return": f"mean {number(summary['mean_return'], 2)}, std {number(summary['std_return'], 2)}, "

@@ -287,8 +287,15 @@ class Dataset(Rows):
         storage.write(self, path, progress)
 
     def fingerprint(self) -> str:
-        """SHA-256 (hex) over names, types, shapes and bytes of all arrays and the metadata; equal data, equal print."""
-        return fingerprint.checksum(fingerprint.arrays_of(self), fingerprint.metadata(self))
+        """SHA-256 (hex) over what a learner sees: columns, ends, action bounds, names of columns, mixture.
+
+        `odaf.resume` goes on with data of the same fingerprint. Provenance, units and infos are no part of it.
+        """
+        return fingerprint.of_rows(self)
+
+    def file_fingerprint(self) -> str:
+        """SHA-256 (hex) over all arrays and the metadata, as it stands in a saved file: equal files, equal print."""
+        return fingerprint.of_file(self)
 
     def check(self) -> Report:
         """What may trouble learning from these rows, each with row numbers and a remedy; print it to see a table.

@@ -1,4 +1,4 @@
-"""What makes two data sets equal: their arrays and metadata in one fixed form, and the checksum over it."""
+"""What makes two data sets equal: one print over the rows that learners see, one over everything in the file."""
 
 import hashlib
 import json
@@ -42,7 +42,7 @@ def metadata(dataset: Rows) -> str:
     content["provenance"] = dataset.provenance
     if dataset.mixture is not None:
         content["mixture"] = dataset.mixture.to_dict()
-    return json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return _canonical(content)
 
 
 def checksum(arrays: Mapping[str, np.ndarray], text: str, advance: Callable[[int], None] | None = None) -> str:
@@ -55,14 +55,60 @@ def checksum(arrays: Mapping[str, np.ndarray], text: str, advance: Callable[[int
     """
     digest = hashlib.sha256()
     for name in (*FIELDS, *sorted(set(arrays) - set(FIELDS))):
-        array = np.ascontiguousarray(arrays[name], dtype=stored_dtype(name, arrays[name]))
-        digest.update(f"{name} {array.dtype.str} {array.shape}\n".encode())
-        if array.size:
-            content = array.view(np.uint8).reshape(-1).data  # its own bytes, uncopied
-            for first in range(0, len(content), PIECE):
-                digest.update(content[first : first + PIECE])
-                if advance is not None:
-                    advance(len(content[first : first + PIECE]))
-    digest.update(f"metadata {len(text.encode())}\n".encode())
+        _add(digest, name, arrays[name], advance)
+    return _with_text(digest, "metadata", text)
+
+
+def of_rows(dataset: Rows) -> str:
+    """SHA-256 (hex) over what a learner sees: columns, ends, action bounds, names of columns, mixture.
+
+    Units, infos and provenance are no part of it, so a note does not make other data of the same rows.
+    """
+    digest = hashlib.sha256()
+    for name in FIELDS:
+        _add(digest, name, getattr(dataset, name), None)
+    seen = {field: list(getattr(dataset, field)) for field in ("observation_names", "action_names")}
+    mixture = None if dataset.mixture is None else dataset.mixture.to_dict()
+    return _with_text(digest, "rows", _canonical({**seen, "mixture": mixture}))
+
+
+def of_file(dataset: Rows) -> str:
+    """SHA-256 (hex) over everything that a file of these data holds, as it stands in the file's attribute `sha256`."""
+    return checksum(arrays_of(dataset), metadata(dataset))
+
+
+def record(dataset: Rows) -> dict[str, str]:
+    """Both prints, as records name them: `sha256` of everything, `rows_sha256` of what a learner sees."""
+    return {"sha256": of_file(dataset), "rows_sha256": of_rows(dataset)}
+
+
+def differing(dataset: Rows, recorded: Mapping[str, Any]) -> tuple[str, str] | None:
+    """(print of the data, print of the record) where the rows are not those of a record; None where they are.
+
+    A record from before prints of rows knows only that of the whole file, and is compared by it.
+    """
+    rows = recorded.get("rows_sha256")
+    found, expected = (of_file(dataset), str(recorded.get("sha256"))) if rows is None else (of_rows(dataset), str(rows))
+    return None if found == expected else (found, expected)
+
+
+def _canonical(content: Mapping[str, Any]) -> str:
+    return json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
+
+
+def _add(digest: Any, name: str, array: np.ndarray, advance: Callable[[int], None] | None) -> None:
+    """Takes an array into the sum, after its name, type and shape."""
+    array = np.ascontiguousarray(array, dtype=stored_dtype(name, array))
+    digest.update(f"{name} {array.dtype.str} {array.shape}\n".encode())
+    if array.size:
+        content = array.view(np.uint8).reshape(-1).data  # its own bytes, uncopied
+        for first in range(0, len(content), PIECE):
+            digest.update(content[first : first + PIECE])
+            if advance is not None:
+                advance(len(content[first : first + PIECE]))
+
+
+def _with_text(digest: Any, title: str, text: str) -> str:
+    digest.update(f"{title} {len(text.encode())}\n".encode())
     digest.update(text.encode())
     return digest.hexdigest()

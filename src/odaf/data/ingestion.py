@@ -19,6 +19,7 @@ NEVER_HELD: dict[str, str] = {
     "not-numbers": "convert the columns to numbers",
     "not-finite": 'repair the rows, or leave them out: on_missing="break" does so in tables and cuts the episode there',
     "too-large": "change the unit",
+    "far-from-zero": "subtract a constant at the source, or leave the column out",
     "flag-values": "derive flags that are true or false",
     "constant-dimension": "give action_bounds=, or leave the column out",
     "action-bounds": "give action_bounds= with low below high",

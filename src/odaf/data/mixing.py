@@ -173,7 +173,7 @@ def _provenance(
         "mixture": {
             **construction,
             "parts": [
-                {"role": role, "rows": count, "sha256": part.fingerprint(), "provenance": part.provenance}
+                {"role": role, "rows": count, "sha256": part.file_fingerprint(), "provenance": part.provenance}
                 for role, part, count in zip(("expert", "other"), parts, counts, strict=True)
             ],
         },

@@ -11,7 +11,7 @@ from odaf.report import drawing
 from odaf.report.chart import NARROW, WIDE, Chart, chart_svg
 from odaf.report.drawing import plain_number
 from odaf.report.quantities import Curve, Returns
-from odaf.report.records import RunRecord, optional
+from odaf.report.records import RunRecord, data_prints, optional
 from odaf.report.scores import Score, episode_returns
 from odaf.report.svg import THEMED
 from odaf.training.monitors import value_bounds
@@ -20,11 +20,11 @@ from odaf.training.monitors import value_bounds
 def references(runs: Sequence[RunRecord]) -> list[tuple[str, float]]:
     """Best and mean of the logged returns, once for every dataset that has a score to compare with."""
     lines: dict[Any, list[tuple[str, float]]] = {}
-    for run in runs:
+    for run, data in zip(runs, data_prints(runs), strict=True):
         if not run.evaluated:
             continue
         known = [("best logged", run.data_best), ("logged mean", run.data_mean)]
-        lines.setdefault(run.data.get("sha256"), [(name, value) for name, value in known if value is not None])
+        lines.setdefault(data, [(name, value) for name, value in known if value is not None])
     return [line for group in lines.values() for line in group]
 
 

@@ -14,7 +14,7 @@ from odaf.report import charts, paths
 from odaf.report.configuration import ABSENT, differences
 from odaf.report.drawing import DARK, LIGHT, plain_number
 from odaf.report.layout import maze_layout
-from odaf.report.records import RunRecord, find_runs, optional, read_run
+from odaf.report.records import RunRecord, data_prints, find_runs, optional, read_run
 from odaf.report.scores import Score, headline_index, labels, normalised, score
 from odaf.report.svg import variables
 
@@ -147,8 +147,7 @@ def data_facts(run: RunRecord) -> list[str]:
 def gaps(runs: Sequence[RunRecord], names: Sequence[str]) -> list[str]:
     """What a reader could expect here and will not find, or should not take at face value."""
     found = []
-    prints = {str(run.data["sha256"]) for run in runs if run.data.get("sha256")}
-    if len(prints) > 1:
+    if len(set(data_prints(runs)) - {None}) > 1:
         found.append("The runs were trained on different data, so their scores do not compare like with like.")
     for name, run in zip(names, runs, strict=True):
         if not run.data:

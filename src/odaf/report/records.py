@@ -237,6 +237,12 @@ class RunRecord:
         return value
 
 
+def data_prints(runs: Sequence[RunRecord]) -> list[str | None]:
+    """What tells the runs' data apart: prints of rows, or of whole files where a run has only that; None if unknown."""
+    rows = all("rows_sha256" in run.data for run in runs if run.data)
+    return [run.data.get("rows_sha256" if rows else "sha256") for run in runs]
+
+
 def find_runs(paths: Sequence[Path]) -> list[Path]:
     """Run directories among `paths`, in order; a folder that holds runs stands for them, by name.
 

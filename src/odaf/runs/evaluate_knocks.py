@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from odaf.data import fingerprint
 from odaf.data.dataset import Dataset
 from odaf.environments.contact_margins import ContactMargins
 from odaf.environments.knocks import Knock, Knocked, UnusualStart
@@ -155,7 +156,7 @@ def _known_ground(run: RunDirectory, data: str | os.PathLike[str] | None) -> tup
             names = ", ".join(map(str, looked))
             raise DatasetError(f"{names}: the run's data are not there any more; give their file with --data")
         dataset = Dataset.load(path)
-        if dataset.fingerprint() != run.data["sha256"]:
+        if fingerprint.differing(dataset, run.data) is not None:
             raise DatasetError(f"{path}: is not what the run was trained on; give the file it was, with --data")
         return KnownGround.of(dataset, run.normaliser), ""
     except DatasetError as error:

@@ -82,6 +82,7 @@ class Recording(Work):
         return f"{verdict}, {record['transitions_per_second']:,.0f} transitions/s"
 
     def do(self, place: Path, progress: "ProgressReport") -> Record:
+        from odaf.data import fingerprint
         from odaf.environments.locomotion_data import generate
 
         began, used = time.monotonic(), time.process_time()
@@ -93,7 +94,7 @@ class Recording(Work):
             "same_set": made,
             "identity": {"version": 1},
             "policies_sha256": policies_print(self.set_name),
-            "sha256": dataset.fingerprint(),
+            **fingerprint.record(dataset),
             "seconds": seconds,
             "processor_seconds": processor_seconds,
             "transitions_per_second": self.transitions / seconds,

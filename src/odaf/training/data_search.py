@@ -4,6 +4,7 @@ import os
 from pathlib import Path
 from typing import Any
 
+from odaf.data import fingerprint
 from odaf.data.dataset import Dataset
 from odaf.errors import ConfigError, DatasetError
 from odaf.training.run_directory import RunDirectory
@@ -68,8 +69,9 @@ def check_same_data(run: RunDirectory, dataset: Dataset, place: str | os.PathLik
     Raises:
         DatasetError: it is not.
     """
-    found, expected = dataset.fingerprint(), run.data["sha256"]
-    if found != expected:
+    different = fingerprint.differing(dataset, run.data)
+    if different is not None:
+        found, expected = different
         name = "dataset" if place is None else os.fspath(place)
         raise DatasetError(
             f"{name}: its fingerprint is {found[:12]}..., but {run.path} was begun with data of fingerprint "

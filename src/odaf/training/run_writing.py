@@ -9,6 +9,7 @@ import numpy as np
 
 from odaf.algorithms.base import Algorithm
 from odaf.algorithms.config import to_dict
+from odaf.data import fingerprint
 from odaf.data.dataset import Dataset
 from odaf.data.normalisation import Normaliser
 from odaf.data.writing import TEMPORARY_PREFIX
@@ -76,7 +77,9 @@ def refuse_foreign(path: Path) -> None:
 
 def _check_same(run: RunDirectory, config: dict[str, Any], data: dict[str, Any]) -> None:
     run.require_current()
-    old, new = {**run.config, "data": run.data.get("sha256")}, {**config, "data": data["sha256"]}
+    # A run from before there were prints of rows has only that of the file.
+    kind = "rows_sha256" if "rows_sha256" in run.data else "sha256"
+    old, new = {**run.config, "data": run.data.get(kind)}, {**config, "data": data[kind]}
     different = differences(old, new, more=("algorithm", "data"))
     if different:
         remedy = f"train into another directory with --out, or go on with the old settings by `odaf resume {run.path}`"
@@ -110,7 +113,7 @@ def data_record(
     """The content of `data.json`; a file's path stands as the user gave it, with what it is relative to."""
     return {
         **data_place(path, directory),
-        "sha256": dataset.fingerprint(),
+        **fingerprint.record(dataset),
         "summary": dataset.summary(),
         "spec": dataset.spec().to_dict(),
         "normaliser": normaliser.to_dict(),
