@@ -62,7 +62,11 @@ def test_a_log_is_made_once_before_those_who_need_it(tmp_path: Path, monkeypatch
     class File:
         @staticmethod
         def load(path: Path) -> Any:
-            return type("Loaded", (), {"file_fingerprint": lambda self: f"print of {path.read_text()}"})()
+            prints = {
+                "fingerprint": lambda self: f"print of {path.read_text()}",
+                "file_fingerprint": lambda self: "file",
+            }
+            return type("Loaded", (), prints)()
 
     monkeypatch.setattr("odaf.data.dataset.Dataset", File)
     do(study([job("a"), job("b", source=TextLog()), job("c", source=TextLog())]), tmp_path)
