@@ -11,7 +11,10 @@ ROWS = EPISODES * STEPS
 
 
 def columns() -> dict[str, np.ndarray]:
-    """Thirty episodes of a hundred steps, every third of which is a step shorter and ends by itself."""
+    """Thirty episodes of a hundred steps, every third of which is a step shorter and ends by itself.
+
+    Each action moves one of the first two observations, which also walk at random; the reward is noise.
+    """
     rng = np.random.default_rng(5)
     lengths = [STEPS - 1 if index % 3 == 0 else STEPS for index in range(EPISODES)]
     found: dict[str, list[np.ndarray]] = {
@@ -21,11 +24,14 @@ def columns() -> dict[str, np.ndarray]:
         )
     }  # fmt: skip
     for index, length in enumerate(lengths):
-        states = np.cumsum(rng.normal(size=(length + 1, 3)), axis=0)
+        steps = rng.normal(size=(length + 1, 3))
+        actions = rng.uniform(-0.9, 0.9, (length, 2))
+        steps[1:, :2] += actions
+        states = np.cumsum(steps, axis=0)
         last = np.arange(length) == length - 1
         found["observations"].append(states[:-1])
         found["next_observations"].append(states[1:])
-        found["actions"].append(rng.uniform(-0.9, 0.9, (length, 2)))
+        found["actions"].append(actions)
         found["rewards"].append(rng.normal(size=length))
         found["terminated"].append(last & (length < STEPS))
         found["truncated"].append(last & (length == STEPS))

@@ -6,7 +6,7 @@ from pathlib import Path
 import odaf
 
 ROOT = Path(__file__).parents[3]
-SOURCES = sorted((Path(odaf.__file__).parent / "data" / "checks").glob("*.py"))
+SOURCES = sorted((Path(odaf.__file__).parent / "data" / "checks").rglob("*.py"))
 
 
 def test_the_page_names_every_check():

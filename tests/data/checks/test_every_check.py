@@ -207,7 +207,7 @@ SPOILED: dict[str, tuple[Any, Any]] = {
     ),
     "scales": (
         ({"observations": CLEAN["observations"] * [1.0, 1e5, 1.0]}, ("next_observations",)),
-        ("scales-differ", "warning", "observations", 3, ()),
+        ("scales-differ", "note", "observations", 3, ()),
     ),
     "a clock among observations": (
         ({"observations": CLEAN["observations"] + [0.0, 1.7e9, 0.0]}, ("next_observations",)),

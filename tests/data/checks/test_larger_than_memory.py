@@ -12,9 +12,10 @@ import pytest
 from odaf.data import fingerprint, storage
 from odaf.data.checks import check_file
 
-ROWS, WIDTH = 500_000, 48
-LIMIT = 144 * 2**20
-"""Bytes of data the process may have beside read-only maps of files: libraries take half of it, the log has more."""
+ROWS, WIDTH = 700_000, 48
+LIMIT = 208 * 2**20
+"""Bytes of data the process may have beside read-only maps of files: libraries take half of it, the log has more.
+(OpenBLAS alone takes 32 MB when it first multiplies matrices.)"""
 
 CHILD = """
 import json, resource, sys

@@ -58,12 +58,14 @@ class Report:
         format: the layout it was read from.
         findings: errors first, then warnings, then notes.
         figures: what was measured on the way, in JSON types: sizes, returns, range and spread of each column.
+        signs: `odaf.data.checks.signs.Signs` of a sample of the rows, for pictures; None in a report from a file.
     """
 
     source: str
     format: str
     findings: tuple[Finding, ...]
     figures: Mapping[str, Any] = field(default_factory=dict)
+    signs: Any = field(default=None, repr=False, compare=False)
 
     def of(self, severity: Severity) -> tuple[Finding, ...]:
         """The findings of one severity."""

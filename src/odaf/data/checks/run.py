@@ -7,13 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from odaf.data.checks import known, structure
+from odaf.data.checks import known, signs, structure
 from odaf.data.checks.actions import Bounds, Discrete
 from odaf.data.checks.continuity import Jumps, Successors
 from odaf.data.checks.duplicates import Duplicates
 from odaf.data.checks.episodes import Clock, Ends, Ids
 from odaf.data.checks.findings import Finding, Report, sort_findings
+from odaf.data.checks.resets import MisplacedEnds
 from odaf.data.checks.returns import Returns, RewardScale
+from odaf.data.checks.sample import Sampler
 from odaf.data.checks.stream import Check, Facts, blocks
 from odaf.data.checks.values import Columns, Finite, FlagValues
 from odaf.data.log import Log
@@ -37,20 +39,24 @@ def check_log(log: Log, *, widths: tuple[int, int] | None = None, progress: Prog
     """
     facts, findings = structure.examine(log, widths)
     figures: dict[str, Any] = {}
+    seen = signs.Signs()
     if facts is not None and facts.fields:
-        checks = _checks(facts)
+        checks, sampler = _checks(facts), Sampler(facts)
         for block in blocks(facts, _block_rows(facts)):
-            for check in checks:
+            for check in (*checks, sampler):
                 check.see(block)
             if progress is not None:
                 progress(block.first + len(block), facts.rows)
         for check in checks:
             findings += check.findings()
         figures = _figures(facts, checks)
+        if (sample := sampler.sample()) is not None:
+            seen = signs.find(sample)
+            findings += seen.findings(_names(log.observation_names, "observation", facts.obs_dim), facts.action_names)
     findings = [_as_in_source(log, finding) for finding in findings]
     findings += known.version_findings(log)
     findings += [_from_reader(entry) for entry in log.findings]
-    return Report(log.source, log.format, sort_findings(findings), figures)
+    return Report(log.source, log.format, sort_findings(findings), figures, seen)
 
 
 def check_file(
@@ -79,7 +85,7 @@ def check_file(
         return Report(name, format or "unknown", (finding, *known.file_findings(path)))
     report = check_log(log, widths=widths, progress=progress)
     findings = sort_findings([*report.findings, *known.file_findings(path)])
-    return Report(report.source, report.format, findings, report.figures)
+    return replace(report, findings=findings)
 
 
 def open_log(path: str | os.PathLike[str], format: str | None = None, **options: Any) -> Log:
@@ -115,13 +121,17 @@ def _checks(facts: Facts) -> list[Check]:
     if "time" in has:
         checks.append(Clock(facts))
     if "observations" in has:
-        checks.append(Jumps(facts))
+        checks += [Jumps(facts), MisplacedEnds(facts)]
     if "next_observations" in has and "observations" in has:
         checks.append(Successors(facts))
     checks += [Columns(facts), Duplicates(facts)]
     if "rewards" in has:
         checks += [RewardScale(facts), Returns(facts)]
     return checks
+
+
+def _names(given: tuple[str, ...] | None, prefix: str, count: int) -> tuple[str, ...]:
+    return given if given is not None and len(given) == count else tuple(f"{prefix}_{i}" for i in range(count))
 
 
 def _block_rows(facts: Facts) -> int:

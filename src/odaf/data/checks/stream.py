@@ -64,6 +64,17 @@ class Block:
         column = self.columns[name]
         return np.concatenate([self.before[name], column]) if self.before else column
 
+    def pieces(self, rows: int) -> Iterator["Block"]:
+        """The same rows as smaller blocks, for checks whose temporary copies are larger than the rows."""
+        for start in range(0, len(self), rows):
+            stop = start + rows
+            columns = {name: values[start:stop] for name, values in self.columns.items()}
+            before = self.before
+            if start:
+                before = {name: values[start - 1 : start] for name, values in self.columns.items()}
+            raw = {name: values[start:stop] for name, values in self.raw.items()}
+            yield Block(self.first + start, columns, raw, before, self.starts[start:stop])
+
     def pairs(self) -> tuple[np.ndarray, int]:
         """(whether row i goes on from row i - 1, number of the first such i) for every row that has one before it."""
         lead = 0 if self.before else 1

@@ -149,10 +149,10 @@ class Columns:
             narrowest = moving[np.argmin(moments.std[moving])]
             found.append(
                 Finding(
-                    "scales-differ", "warning", "observations", len(moving), (),
+                    "scales-differ", "note", "observations", len(moving), (),
                     f"spread from {moments.std[narrowest]:.3g} in {self._names('observations', [narrowest])} "
                     f"to {moments.std[widest]:.3g} in {self._names('observations', [widest])}",
-                    "keep normalisation on, and take other units where a column spans many orders of magnitude",
+                    "nothing to do while observations are normalised, as they are from the start",
                 )
             )  # fmt: skip
         with np.errstate(divide="ignore", invalid="ignore"):
