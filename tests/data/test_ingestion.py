@@ -13,7 +13,7 @@ from odaf.errors import ConfigError, DatasetError
 
 def test_the_report_is_stored_with_the_data(tmp_path):
     constant = healthy.columns()["observations"]
-    constant[:, 1] = 4.0
+    constant[:, 2] = 4.0  # the one that no action moves
     dataset, report = ingest(healthy.log({"observations": constant}, ("next_observations",)))
     assert [finding.check for finding in report.findings] == ["constant-dimension", "no-successor"]
     dataset.save(tmp_path / "tank.h5")

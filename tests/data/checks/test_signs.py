@@ -166,7 +166,7 @@ def test_actions_that_change_nothing():
     columns = plant(columns=2)
     columns["actions"][:, 1] = np.random.default_rng(1).uniform(-1, 1, EPISODES * STEPS)
     finding = only(report_on(columns), "no-effect")
-    assert (finding.count, "depends on action_1, neither" in finding.message) == (1, True)
+    assert "depends on action_1, neither" in finding.message
 
 
 def test_what_follows_from_the_state_alone_is_not_said_to_have_no_effect():

@@ -25,7 +25,8 @@ class CopiedAction:
         lead: 0 if it holds the action of its own row, 1 if that of the next.
         held: [rows] some of its values.
         taken: [rows] the actions that belong to them.
-        rows: first rows where the action changes.
+        count: rows that were looked at.
+        rows: the first of them where the action changes.
         share: which rows were looked at, for messages.
     """
 
@@ -34,6 +35,7 @@ class CopiedAction:
     lead: int
     held: np.ndarray
     taken: np.ndarray
+    count: int
     rows: tuple[int, ...]
     share: str
 
@@ -41,7 +43,7 @@ class CopiedAction:
         """For columns and actions of these names."""
         column, which = names[self.column], ("its own", "the next")[self.lead]
         return Finding(
-            "action-in-observations", "warning", "observations", 1, self.rows,
+            "action-in-observations", "warning", "observations", self.count, self.rows,
             f"column {column} already holds the action {actions[self.action]} of {which} row{self.share}: a policy "
             "learns to read it off there, and at work it is what the policy itself should say",
             f"leave {column} out of the observations, or log it one row later, as the action of the row before "
@@ -70,6 +72,7 @@ def find(sample: Sample) -> list[CopiedAction]:
             found.append(
                 CopiedAction(
                     int(column), int(action), lead, observations[:3_000, column], taken[:3_000],
+                    len(rows),
                     tuple(int(row) for row in sample.number[rows[changed]]), sample.share,
                 )
             )  # fmt: skip

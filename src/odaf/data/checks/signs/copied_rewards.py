@@ -24,7 +24,8 @@ class CopiedReward:
         straight: whether the reward is that column but for unit and offset.
         values: [rows] some values of the column.
         rewards: [rows] the rewards that belong to them.
-        rows: first rows.
+        count: rows that were looked at.
+        rows: the first of them whose reward is not the usual one.
         share: which rows were looked at, for messages.
     """
 
@@ -33,6 +34,7 @@ class CopiedReward:
     straight: bool
     values: np.ndarray
     rewards: np.ndarray
+    count: int
     rows: tuple[int, ...]
     share: str
 
@@ -42,7 +44,7 @@ class CopiedReward:
         what = {"observations": f"column {name}", "actions": f"action {name}", "next_observations": f"the next {name}"}
         how = "is a straight line in" if self.straight else "can be computed from"
         return Finding(
-            "reward-from-one-column", "warning", "rewards", 1, self.rows,
+            "reward-from-one-column", "warning", "rewards", self.count, self.rows,
             f"the reward {how} {what[self.field]} alone{self.share}: whatever else matters is not in it",
             "fine if that is the whole goal; otherwise compute a reward from all that matters "
             "(--reward \"1 - abs(level - setpoint)\" of `odaf data import`)",
@@ -70,7 +72,7 @@ def find(sample: Sample) -> CopiedReward | None:
     known = np.flatnonzero(np.isfinite(values))
     line = np.corrcoef(values[known], scaled[known])[0, 1]
     return CopiedReward(
-        field, column, bool(1 - line**2 < UNSAID), values[known[:3_000]], rewards[known[:3_000]],
+        field, column, bool(1 - line**2 < UNSAID), values[known[:3_000]], rewards[known[:3_000]], len(known),
         tuple(int(row) for row in sample.number[np.flatnonzero(rewards != usual)[:5]]), sample.share,
     )  # fmt: skip
 

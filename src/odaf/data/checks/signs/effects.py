@@ -81,7 +81,7 @@ class Effects:
             example = next(iter(late))
             found.append(
                 Finding(
-                    "dead-time", "warning", "actions", len(late), self.shown,
+                    "dead-time", "warning", "actions", self.rows, self.shown,
                     f"actions change something only some rows later: {what} (correlation with what changes then "
                     f"{self.strength[late[example], example]:.2f}, at once {self.strength[0, example]:.2f})"
                     f"{self.share}",
@@ -93,7 +93,7 @@ class Effects:
             names = ", ".join(idle[:8]) + (", ..." if len(idle) > 8 else "")
             found.append(
                 Finding(
-                    "no-effect", "warning", "actions", len(idle), self.shown,
+                    "no-effect", "warning", "actions", self.rows, self.shown,
                     f"nothing that was observed depends on {names}, neither at once nor within {len(self.strength)} "
                     f"rows (correlations below {self.noise:.2g} over {self.rows:,} rows){self.share}",
                     "check that the column is what really acted (a set point that was overridden, another unit's "
