@@ -86,6 +86,8 @@ def test_a_policy_without_randomness_draws_its_action(policy):
         (np.zeros(()), "has shape"),
         (np.array([0.0, np.nan, 0.0]), "flow is not a finite number"),
         (np.array([-np.inf, np.inf, 0.0]), "level is not a finite number"),
+        (np.array([0.0, np.inf, 0.0]), "flow is not a finite number"),  # tanh makes tame numbers of it
+        (np.array([[0.0, 0.0, 0.0], [-np.inf, 0.0, 0.0]]), "level is not a finite number"),
         (np.array([[0.0, 0.0, 0.0], [0.0, 0.0, np.inf]]), "heat is not a finite number"),
         (np.concatenate([np.zeros((99, 3)), [[0.0, np.nan, 0.0]]]), "flow is not a finite number"),
         ({"level": 1.0, "flow": 2.0}, r"missing \['heat'\]"),
