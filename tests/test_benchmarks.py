@@ -58,7 +58,7 @@ def test_unit_of_the_count_is_the_one_that_papers_use():
 @pytest.mark.parametrize(("name", "most"), [("sac-n", 1.1), ("pbrl", 1.1), ("edac", 1.3)])
 def test_operations_counted_by_hand_are_those_that_the_compiler_counts(name, most, monkeypatch):
     monkeypatch.setattr("odaf.components.critics.usable_cores", lambda: 2)
-    monkeypatch.setattr("odaf.components.parts.ROWS_AT_ONCE", 10**9)  # nor in parts
+    monkeypatch.setattr("odaf.components.chunks.ROWS_AT_ONCE", 10**9)  # nor in parts
     monkeypatch.setitem(learners.PROBLEM, "num_critics", 2)
     algorithm = learners.load(name)
     by_hand = operations.flop_per_update(algorithm, learners.SPEC)

@@ -59,7 +59,7 @@ def _with_draws(term, context):
 @pytest.mark.parametrize("at_once", [1, 512])
 @pytest.mark.parametrize("form", FORMS.values(), ids=FORMS)
 def test_both_papers_forms_follow_their_formula(form, at_once, monkeypatch):
-    monkeypatch.setattr("odaf.components.parts.ROWS_AT_ONCE", at_once)
+    monkeypatch.setattr("odaf.components.chunks.ROWS_AT_ONCE", at_once)
     with tiny.exactly():
         term, context = OODPessimism(**form), _context()
         loss, metrics, offsets, normals = _with_draws(term, context)

@@ -3,7 +3,7 @@
 import os
 import time
 
-from odaf.runs.workers import tell
+from odaf.runs.workers import send
 
 prepared: list[int] = []
 
@@ -18,7 +18,7 @@ def preparations(_: int) -> list[int]:
 
 def halve(number: int) -> int:
     for part in ("half of", number):
-        tell((number, part))
+        send((number, part))
     return number // 2
 
 

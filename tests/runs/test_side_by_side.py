@@ -165,7 +165,7 @@ def test_progress_of_all_seeds_is_one_line(monkeypatch: pytest.MonkeyPatch):
 
     stream = io.StringIO()
     combined = CombinedProgress({3: 0, 5: 20}, 100, Lines(stream, interval=10.0))
-    reports = {seed: SeedReport(seed, combined.hear) for seed in (3, 5)}
+    reports = {seed: SeedReport(seed, combined.receive) for seed in (3, 5)}
     reports[3].start("seed 3: compiling", 0)
     reports[5].start("seed 5: training", 100, 20)
     reports[5].start("seed 5: side model", 1000, 0)

@@ -47,7 +47,7 @@ def test_a_failing_job_raises() -> None:
 @pytest.mark.parametrize("workers", [1, 2])
 def test_what_jobs_tell_is_heard_before_their_result(workers: int) -> None:
     heard: list[tuple[int, object]] = []
-    for job, _ in run_jobs(jobs.halve, [4, 6, 8], workers, hear=heard.append):
+    for job, _ in run_jobs(jobs.halve, [4, 6, 8], workers, receive=heard.append):
         assert [part for number, part in heard if number == job] == ["half of", job]
     assert len(heard) == 6
 

@@ -137,7 +137,7 @@ def test_time_left_is_judged_by_this_machine(monkeypatch: pytest.MonkeyPatch) ->
     display.begin(2, 5, {"a": 100.0, "b": 300.0}, 1, None)
     assert said.getvalue() == "toy: 2 of 5 records to go, about 7 min of one core\n"
     now = 40.0
-    display.hear(("a", "share", "500 of 1,000 updates", 0.5))  # half of it in 40 seconds: 7 times as much is left
+    display.receive(("a", "share", "500 of 1,000 updates", 0.5))  # half of it in 40 seconds: 7 times as much is left
     assert said.getvalue().endswith("toy: a 500 of 1,000 updates; 5 min left\n")
     now = 60.0
     display.finished("a", "12.3 +- 4.5")

@@ -17,7 +17,7 @@ from odaf.data.spec import Spec
 from odaf.errors import ConfigError, OdafError
 from odaf.evaluation.examination import examine
 from odaf.evaluation.rollouts import RolloutEvaluator, Rollouts
-from odaf.runs.workers import cores, run_jobs, stopping, tell
+from odaf.runs.workers import cores, run_jobs, send, stopping
 from odaf.training.combined_progress import CombinedProgress, SeedReport
 from odaf.training.data_search import check_same_data
 from odaf.training.evaluator import Evaluator
@@ -98,7 +98,7 @@ def side_by_side(settings: RunSettings, data_path: str | os.PathLike[str] | None
                 [seed.seed for seed in seeds],
                 processes,
                 prepare=functools.partial(_prepare, shared),
-                hear=combined.hear,
+                receive=combined.receive,
                 always_apart=True,
                 cores=settings.cores,
                 asked_to_stop=lambda: interrupt.came,
@@ -157,7 +157,7 @@ def _train(seed: int) -> OdafError | Literal["finished", "stopped"]:
     """In a worker: train one seed to its end; returns how that ended."""
     if stopping():
         return "stopped"
-    run, given, report = RunDirectory(_shared.path), _shared.evaluate, SeedReport(seed, tell)
+    run, given, report = RunDirectory(_shared.path), _shared.evaluate, SeedReport(seed, send)
     try:
         with contextlib.ExitStack() as stack:
             stack.enter_context(joined(run.path))

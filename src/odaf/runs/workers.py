@@ -16,7 +16,7 @@ Job = TypeVar("Job")
 # How long news of a worker may wait to be heard.
 _SECONDS_BETWEEN_NEWS = 0.2
 
-# In a worker process: where `tell` puts its news, and the event that asks it to stop.
+# In a worker process: where `send` puts its news, and the event that asks it to stop.
 _news: Any = None
 _stop: Any = None
 
@@ -27,7 +27,7 @@ def run_jobs(
     workers: int,
     *,
     prepare: Callable[[], object] | None = None,
-    hear: Callable[[Any], object] | None = None,
+    receive: Callable[[Any], object] | None = None,
     always_apart: bool = False,
     then: Callable[[Job, Any], Iterable[Job]] | None = None,
     until: float | None = None,
@@ -45,7 +45,7 @@ def run_jobs(
         jobs: picklable descriptions.
         workers: processes at the same time.
         prepare: picklable; called once in each process before its first job.
-        hear: called in this process with whatever jobs `tell`, in the order told by each.
+        receive: called in this process with whatever jobs `send`, in the order told by each.
         always_apart: a single job, or a single worker, runs in a process of its own too.
         then: called in this process with each finished job and its result; the jobs that it returns are done as well.
         until: a time of `time.monotonic` when jobs that still run are stopped; neither they nor those that wait have a
@@ -60,7 +60,7 @@ def run_jobs(
     """
     apart = always_apart or (workers > 1 and (then is not None or len(jobs) > 1))
     if not apart and until is None:
-        yield from _one_by_one(function, jobs, prepare, hear, then)
+        yield from _one_by_one(function, jobs, prepare, receive, then)
         return
     workers = max(1, workers)
     context = multiprocessing.get_context("spawn")
@@ -76,7 +76,7 @@ def run_jobs(
             while waiting:
                 done, _ = wait(waiting, timeout=_SECONDS_BETWEEN_NEWS, return_when=FIRST_COMPLETED)
                 while not news.empty():
-                    _hear(news.get(), hear)
+                    _receive(news.get(), receive)
                 if not stop.is_set() and asked_to_stop():
                     stop.set()
                     for future in waiting:
@@ -102,8 +102,8 @@ def run_jobs(
             raise
 
 
-def tell(news: Any) -> None:
-    """From inside a job: hand something picklable and small to the `hear` of whoever runs the jobs."""
+def send(news: Any) -> None:
+    """From inside a job: hand something picklable and small to the `receive` of whoever runs the jobs."""
     if _news is not None:
         _news.put(news)
 
@@ -118,9 +118,9 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def _one_by_one(function: Any, jobs: Any, prepare: Any, hear: Any, then: Any) -> Iterator[tuple[Any, Any]]:
+def _one_by_one(function: Any, jobs: Any, prepare: Any, receive: Any, then: Any) -> Iterator[tuple[Any, Any]]:
     global _news
-    before, _news = _news, _Here(hear)
+    before, _news = _news, _Here(receive)
     try:
         if prepare is not None:
             prepare()
@@ -137,16 +137,16 @@ def _one_by_one(function: Any, jobs: Any, prepare: Any, hear: Any, then: Any) ->
 class _Here:
     """A queue whose other end is in this process."""
 
-    def __init__(self, hear: Callable[[Any], object] | None):
-        self._hear = hear
+    def __init__(self, receive: Callable[[Any], object] | None):
+        self._receive = receive
 
     def put(self, news: Any) -> None:
-        _hear(news, self._hear)
+        _receive(news, self._receive)
 
 
-def _hear(news: Any, hear: Callable[[Any], object] | None) -> None:
-    if hear is not None:
-        hear(news)
+def _receive(news: Any, receive: Callable[[Any], object] | None) -> None:
+    if receive is not None:
+        receive(news)
 
 
 def _begin(leave: Any, numbers: Any, workers: int, cores: int | None, news: Any, stop: Any, pickled: bytes) -> None:

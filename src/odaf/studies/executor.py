@@ -27,7 +27,7 @@ class Executor(Protocol):
         first: Sequence[Item],
         *,
         then: Callable[[Item, Any], Sequence[Item]],
-        hear: Callable[[Any], object],
+        receive: Callable[[Any], object],
         until: float | None,
     ) -> Generator[tuple[Item, Any], None, None]:
         """Calls `function` on every job and yields each with its result as they finish; closing it stops what runs.
@@ -36,7 +36,7 @@ class Executor(Protocol):
             function: what to call.
             first: the jobs to begin with.
             then: takes each finished job and its result, and says which begin next.
-            hear: takes whatever a job tells (`odaf.runs.workers.tell`).
+            receive: takes whatever a job tells (`odaf.runs.workers.send`).
             until: a time of `time.monotonic` when jobs that still run are stopped; None waits for all.
         """
         ...
@@ -58,8 +58,8 @@ class Here:
         first: Sequence[Item],
         *,
         then: Callable[[Item, Any], Sequence[Item]],
-        hear: Callable[[Any], object],
+        receive: Callable[[Any], object],
         until: float | None,
     ) -> Generator[tuple[Item, Any], None, None]:
         """See `Executor.run`."""
-        yield from run_jobs(function, first, self.width, then=then, hear=hear, until=until)
+        yield from run_jobs(function, first, self.width, then=then, receive=receive, until=until)

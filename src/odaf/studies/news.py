@@ -98,7 +98,7 @@ class Display:
             self._task = self._bar.add_task(self.name, total=sum(estimates.values()) or None, text="")
             self._bar.start()
 
-    def hear(self, news: News) -> None:
+    def receive(self, news: News) -> None:
         """Takes what a `JobReport` told."""
         job, event, text, share = news
         if event == "message":

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from odaf.runs.workers import tell
+from odaf.runs.workers import send
 from odaf.studies.cost import Costs
 from odaf.studies.executor import Executor
 from odaf.studies.job import Job, Log, Record, Work
@@ -78,7 +78,7 @@ def perform(
     if missing:
         place.mkdir(parents=True, exist_ok=True)
         results = executor.run(
-            functools.partial(_do, place), queue.ready(), then=queue.finished, hear=display.hear, until=until
+            functools.partial(_do, place), queue.ready(), then=queue.finished, receive=display.receive, until=until
         )
         with contextlib.closing(display), contextlib.closing(results):
             for job, record in results:
@@ -93,7 +93,7 @@ def perform(
 
 def _do(place: Path, job: Job) -> Record:
     """In a worker, or here: one job."""
-    return job.do.do(place, JobReport(job.name, tell))
+    return job.do.do(place, JobReport(job.name, send))
 
 
 class _Queue:

@@ -15,18 +15,18 @@ class SeedReport:
 
     Args:
         seed: whose progress it is.
-        tell: takes (seed, event, text, updates done).
+        send: takes (seed, event, text, updates done).
     """
 
-    def __init__(self, seed: int, tell: Callable[[tuple[int, str, str, int]], Any]):
-        self._seed, self._tell, self._counts, self._total, self._told = seed, tell, False, 0, 0.0
+    def __init__(self, seed: int, send: Callable[[tuple[int, str, str, int]], Any]):
+        self._seed, self._send, self._counts, self._total, self._told = seed, send, False, 0, 0.0
 
     def start(self, stage: str, total: int, done: int = 0, unit: str = "updates") -> None:
         self._counts, self._total = stage == training_stage(self._seed), total
         if self._counts:
-            self._tell((self._seed, "updates", "", done))
+            self._send((self._seed, "updates", "", done))
         else:
-            self._tell((self._seed, "stage", stage, 0))
+            self._send((self._seed, "stage", stage, 0))
 
     def advance(self, done: int, note: str = "") -> None:
         if not self._counts:
@@ -34,10 +34,10 @@ class SeedReport:
         now = time.monotonic()
         if note or done >= self._total or now - self._told >= _SECONDS_BETWEEN_NEWS:
             self._told = now
-            self._tell((self._seed, "updates", note, done))
+            self._send((self._seed, "updates", note, done))
 
     def message(self, text: str) -> None:
-        self._tell((self._seed, "message", text, 0))
+        self._send((self._seed, "message", text, 0))
 
     def close(self) -> None: ...
 
@@ -56,7 +56,7 @@ class CombinedProgress:
         names = " ".join(map(str, done)) if len(done) <= 8 else f"{len(done)} in all"
         report.start(f"seeds {names}: training", steps * len(done), sum(done.values()))
 
-    def hear(self, news: tuple[int, str, str, int]) -> None:
+    def receive(self, news: tuple[int, str, str, int]) -> None:
         """Takes what a `SeedReport` told."""
         seed, event, text, done = news
         if event == "message":

@@ -22,8 +22,8 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray, PyTree
 
 from odaf.algorithms.base import Metrics
 from odaf.algorithms.terms.base import Context, Term
+from odaf.components.chunks import draws_at_once, mean_over_chunks
 from odaf.components.critics import CriticEnsemble, disagreement
-from odaf.components.parts import draws_at_once, mean_over_parts
 from odaf.components.perturbations import draw_offsets
 from odaf.components.targets import frozen
 from odaf.errors import ConfigError
@@ -138,7 +138,7 @@ class OODPessimism(Term):
         parts = jax.tree.map(lambda column: column.reshape(count, -1, column.shape[-1]), (perturbed, actions))
         floor = jnp.asarray(-jnp.inf if self.floor is None else self.floor)
         constants = deviations, context.value_bounds, floor
-        found: Any = mean_over_parts(_pull_down_by[self.std_ddof], context.critics, parts, constants)
+        found: Any = mean_over_chunks(_pull_down_by[self.std_ddof], context.critics, parts, constants)
         loss, (spread, value) = found
         return loss, spread, value
 

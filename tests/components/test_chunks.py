@@ -1,4 +1,4 @@
-"""A mean that is worked through in parts: the value and the gradient of the whole."""
+"""A mean that is worked through in chunks: the value and the gradient of the whole."""
 
 from typing import Any
 
@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from golden import tiny
-from odaf.components.parts import draws_at_once, mean_over_parts
+from odaf.components.chunks import draws_at_once, mean_over_chunks
 
 
-def _loss(parameters, part, constants):
+def _loss(parameters, chunk, constants):
     matrix, offset = parameters
-    rows, signs = part
+    rows, signs = chunk
     values = jnp.tanh(rows @ matrix + offset[None]) * signs[:, None] * constants
     return jnp.mean(jnp.square(values)), {"value": jnp.mean(values)}
 
@@ -29,10 +29,10 @@ def _problem():
 def test_parts_together_are_the_whole(count):
     with tiny.exactly():
         parameters, whole, constant = _problem()
-        parts = jax.tree.map(lambda column: column.reshape(count, 12 // count, *column.shape[1:]), whole)
+        chunks = jax.tree.map(lambda column: column.reshape(count, 12 // count, *column.shape[1:]), whole)
 
         def by_parts(parameters) -> Any:
-            return mean_over_parts(_loss, parameters, parts, constant)
+            return mean_over_chunks(_loss, parameters, chunks, constant)
 
         expected, slopes = jax.value_and_grad(_loss, has_aux=True)(parameters, whole, constant)
         tiny.assert_close(by_parts(parameters), expected, rtol=1e-12)
