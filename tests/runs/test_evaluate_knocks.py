@@ -51,7 +51,8 @@ def test_a_knock_changes_what_comes_after_and_is_recovered_from(run):
 
 def test_without_the_data_the_recovery_time_is_left_out_and_the_reason_told(run, tmp_path):
     knock, other = Knock(steps=2, at=3), tmp_path / "other.h5"
-    dataclasses.replace(dataset_of(4, 2, MAZE), provenance={}).save(other)
+    known = dataset_of(4, 2, MAZE)
+    dataclasses.replace(known, rewards=known.rewards + 1.0).save(other)
     lost = untrained_run(tmp_path / "lost", LEARNER, dataset_of(4, 2, MAZE), (0,), data=tmp_path / "gone.h5")
     found = knock_scores(lost, knock, episodes=1)
     assert found.recovery is None and "gone.h5: the run's data are not there" in found.no_recovery

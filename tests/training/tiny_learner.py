@@ -46,9 +46,10 @@ class TinyLearner(Algorithm):
     batch_size: int = 8
     blow_up_at: int = -1  # from this update on, metrics leave every range
     value_range: str = "none"
+    normaliser_epsilon: float = 0.0
 
     def view(self):
-        return View(discount=self.discount)
+        return View(discount=self.discount, normaliser_epsilon=self.normaliser_epsilon)
 
     def untrained(self, key, spec):
         return jr.normal(key, (spec.act_dim,))
