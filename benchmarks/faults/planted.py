@@ -264,7 +264,7 @@ def otherwise(share: float, size: float, form: str) -> Callable[[Kind, int], Log
                 return None
             return as_log(replace(rows, actions=np.where(second, low + high - rows.actions, rows.actions)))
         column = rows.observations[:, np.argmax([len(np.unique(values)) for values in rows.observations.T])]
-        side = np.sign(np.sin(2 * (column - np.median(column)) / column.std()))[:, None]
+        side = np.sign(column - np.median(column))[:, None]
         by = np.where(second, spread, 0.0) if form == "shifted" else np.where(second, side, -side) * spread / 2
         return as_log(replace(rows, actions=rows.actions + by, bounds=(low - spread.max(), high + spread.max())))
 

@@ -14,6 +14,8 @@ from odaf.cli.outputs import PAGE, check_outputs
 class PlotOptions:
     """Draw what a data set holds: returns, lengths, the ground it covers, and how its actions are spread.
 
+    Each sign that the log cannot teach what is asked has a picture too: see docs/usable.md.
+
     One HTML file that needs no network to be read.
     """
 

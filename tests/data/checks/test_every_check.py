@@ -317,6 +317,21 @@ def test_width_of_the_environment_that_the_log_names():
     assert "Hopper-v4 needs 11" in str(report.findings[0])
 
 
+@pytest.mark.parametrize("unit", [1e-6, 1e6])
+def test_units_of_observations_do_not_matter(unit: float):
+    """Amperes or strain: the normaliser divides by each column's own spread."""
+    assert (
+        check_log(healthy.log({"observations": CLEAN["observations"] * unit}, ("next_observations",))).of("warning")
+        == ()
+    )
+
+
+def test_bounds_that_are_no_bounds_are_named_in_memory_too():
+    columns: dict[str, Any] = {name: CLEAN[name] for name in ("observations", "actions", "rewards", "episode")}
+    report = Dataset.from_arrays(**columns, action_bounds=(-LARGEST, LARGEST)).check()
+    assert "--action-bounds" in only(report, "bounds-too-wide").remedy
+
+
 def test_width_asked_for():
     assert check_log(healthy.log(), widths=(3, 2)).usable
     assert "needs 4" in only(check_log(healthy.log(), widths=(4, 2)), "wrong-width").message

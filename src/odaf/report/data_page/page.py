@@ -10,6 +10,7 @@ from odaf.data import Dataset
 from odaf.data.writing import write_atomically
 from odaf.errors import ConfigError
 from odaf.report.data_page import pictures
+from odaf.report.data_page.signs import sign_charts
 from odaf.report.drawing import DARK, LIGHT, plain_number
 from odaf.report.svg import variables
 
@@ -35,13 +36,15 @@ def render(dataset: Dataset, title: str) -> str:
         lstrip_blocks=True,
     )
     environment.filters["figure"] = plain_number
+    report = dataset.check()
     return environment.get_template("data.html").render(
         title=title,
         light=variables(LIGHT),
         dark=variables(DARK),
         version=odaf.__version__,
         summary=dataset.summary(),
-        report=dataset.check(),
+        report=report,
+        signs=sign_charts(dataset, report.signs),
         returns=pictures.returns_chart(dataset),
         lengths=pictures.lengths_chart(dataset),
         coverage=pictures.coverage_chart(dataset),

@@ -8,13 +8,13 @@ from odaf.data.checks.findings import Finding
 from odaf.data.checks.sample import Sample
 from odaf.data.checks.signs.neighbours import nearest, scaled, thinned
 
-MOST_ROWS, MOST_EPISODES, NEIGHBOURS = 5_000, 200, 24
+MOST_ROWS, MOST_EPISODES, NEIGHBOURS = 4_500, 200, 24
 FEWEST_EPISODES = 3
 OVERLAP = 0.2
 """Share of rows that must have neighbours of both groups."""
 GAP = 1.2
 """How far apart the groups' actions lie, in spreads of one group: below, they are one cloud."""
-MATERIAL = 0.9
+MATERIAL = 0.6
 """The same in spreads of all actions: below, the two controllers are of one mind."""
 
 

@@ -70,9 +70,9 @@ def find(sample: Sample) -> CopiedReward | None:
     _, field, column = best
     values = fields[field][:, column]
     known = np.flatnonzero(np.isfinite(values))
-    line = np.corrcoef(values[known], scaled[known])[0, 1]
+    straight, shown = _straight(values[known], scaled[known]) < UNSAID, known[:3_000]
     return CopiedReward(
-        field, column, bool(1 - line**2 < UNSAID), values[known[:3_000]], rewards[known[:3_000]], len(known),
+        field, column, straight, values[shown], rewards[shown], len(known),
         tuple(int(row) for row in sample.number[np.flatnonzero(rewards != usual)[:5]]), sample.share,
     )  # fmt: skip
 
@@ -93,9 +93,16 @@ def _unsaid(column: np.ndarray, rewards: np.ndarray, piece: np.ndarray) -> float
     before, here, after = before[apart], here[apart], after[apart]
     variance = rewards[here].var() if len(here) else 0.0
     if len(here) < FEWEST_PAIRS or variance < 1e-6:
-        line = np.corrcoef(column[order], rewards[order])[0, 1]
-        return float(1 - line**2) if 1 - line**2 < STRAIGHT else 1.0
+        left = _straight(column[order], rewards[order])
+        return left if left < STRAIGHT else 1.0
     width = column[after] - column[before]
     weight = np.where(width > 0, (column[after] - column[here]) / np.where(width > 0, width, 1.0), 0.5)
     errors = rewards[here] - weight * rewards[before] - (1 - weight) * rewards[after]
     return float((np.square(errors) / (1 + weight**2 + (1 - weight) ** 2)).mean() / variance)
+
+
+def _straight(column: np.ndarray, rewards: np.ndarray) -> float:
+    """Share of the rewards' variance that a straight line in the column leaves; 1 where either is constant."""
+    first, second = column - column.mean(), rewards - rewards.mean()
+    squares = float(np.square(first).sum() * np.square(second).sum())
+    return 1 - float(first @ second) ** 2 / squares if squares > 0 else 1.0

@@ -39,7 +39,7 @@ def nearest(
         chosen = queries[start : start + CHUNK]
         apart = squares - 2 * points[chosen] @ targets.T + np.square(points[chosen]).sum(axis=1)[:, None]
         apart[group[chosen][:, None] == group[references][None]] = np.inf
-        near = np.argpartition(apart, count - 1, axis=1)[:, :count]
+        near = np.argmin(apart, axis=1)[:, None] if count == 1 else np.argpartition(apart, count - 1, axis=1)[:, :count]
         found = np.take_along_axis(apart, near, axis=1)
         order = np.argsort(found, axis=1)
         places.append(np.take_along_axis(near, order, axis=1))
