@@ -4,7 +4,7 @@ Sound logs of many kinds (benchmarks/faults/sound.py) are made with each seed, a
 fault planted at each of its sizes (benchmarks/faults/planted.py). With `--recorded`, sets of `odaf data generate` take
 part; faults of the plant itself cannot be planted in these. Thresholds were chosen on seeds 0 to 9; judge with others.
 
-    python benchmarks/check_faults.py --seeds 100 101 --recorded --markdown docs/check-evidence.md
+    python benchmarks/check_faults.py --seeds 100 101 --recorded --markdown docs/results/check-evidence.md
 """
 
 import argparse
@@ -98,7 +98,7 @@ def speed() -> dict[str, float]:
 
 
 def as_markdown(planted: list[dict[str, Any]], sound: dict[str, Any], seeds: Sequence[int]) -> str:
-    """The tables that stand in docs/check-evidence.md."""
+    """The tables that stand in docs/results/check-evidence.md."""
     lines = [BEGIN, "", f"Judged on seeds {', '.join(map(str, seeds))}: {sound['logs']:,} sound logs, "]
     lines[-1] += f"{sound['blamed']} of them blamed by any of these findings ({sound['blamed'] / sound['logs']:.1%})."
     lines += ["", "| fault | size | named by | found | not found in |", "|---|---|---|---|---|"]

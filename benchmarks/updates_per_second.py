@@ -2,7 +2,7 @@
 
 The ceiling is the batched product (10, 256, 256) x (10, 256, 256) of the compiler that trains, measured in the same
 rounds as the learners, so that a slow or busy machine slows both. Operations are counted by hand: operations.py holds
-the table. docs/speed.md says how to read the figures and where the time goes.
+the table. docs/results/speed.md says how to read the figures and where the time goes.
 """
 
 import argparse

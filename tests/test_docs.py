@@ -101,7 +101,18 @@ def test_links_to_files_lead_somewhere(page: Path):
             assert (page.parent / target).exists(), f"{page} links to {target}, which is not there"
 
 
+def test_pages_that_code_names_are_there():
+    """Help texts, messages and docstrings send readers to pages by their path in the project's folder."""
+    named = 0
+    for path in [path for folder in ("src", "benchmarks", "tools", "tests") for path in (ROOT / folder).rglob("*.*")]:
+        if path.suffix in (".py", ".toml"):
+            for page in re.findall(r"docs/[\w/-]+\.md", path.read_text(encoding="utf-8")):
+                assert (ROOT / page).is_file(), f"{path} names {page}, which is not there"
+                named += 1
+    assert named > 20
+
+
 def test_the_maze_on_the_data_page_can_be_recorded():
-    (_, text), *_ = blocks(ROOT / "docs" / "data.md", "json")
+    (_, text), *_ = blocks(ROOT / "docs" / "reference" / "data.md", "json")
     config = stitch_data.StitchConfig.from_dict(json.loads(text))
     assert sum(route.repeats for route in config.routes) == 200

@@ -15,7 +15,7 @@ rewards, s' the state n steps on, and the discount of the target its n-th power.
 `warm_start` fits the networks to the log before the first update.
 
 Differs from SAC-N by default: layer-normalised critics, targets clipped to the range that the rewards allow, and no
-entropy in the target. Each is a field. docs/algorithms/odaf.md shows what each of them does.
+entropy in the target. Each is a field. docs/reference/algorithms/odaf.md shows what each of them does.
 """
 
 import dataclasses

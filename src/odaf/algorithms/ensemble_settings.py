@@ -31,7 +31,7 @@ class EnsembleSettings(Algorithm[EnsembleState]):
     """Factor of a fixed random network added to each critic and to its slow copy (PBRL-Prior 1.0); 0 adds none."""
     products: Products = "float32"
     """Format that the critics' hidden layers round the factors of their products to; sums, parameters and optimiser
-    stay in float32. "bfloat16" is faster on processors with instructions for it, see docs/speed.md."""
+    stay in float32. "bfloat16" is faster on processors with instructions for it, see docs/results/speed.md."""
     target: Literal["min", "member"] = "min"
     """Values in the critics' targets: the lowest slow critic for all members, or each member's own slow copy."""
     target_deviations: float = 0.0

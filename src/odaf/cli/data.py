@@ -25,7 +25,8 @@ class GenerateOptions:
     """Record a data set from scripted controllers, or from the locomotion policies that come with odaf.
 
     pointmaze-stitch: a point mass in a maze. No recorded episode takes the good path, yet its pieces are all there.
-    The others: a running body, played by policies of the level that the name says (see docs/generated-data.md).
+    The others: a running body, played by policies of the level that the name says; docs/reference/generated-data.md
+    describes each.
     """
 
     name: tyro.conf.Positional[
@@ -55,7 +56,7 @@ class GenerateOptions:
     """The same seed records the same data."""
     maze: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE")] = None
     """pointmaze only: a known maze, or a JSON file with a map, its start and goal, and the routes to record (see
-    docs/data.md); without it, stitch."""
+    docs/reference/data.md); without it, stitch."""
     repeats: Annotated[int | None, tyro.conf.arg(metavar="INT")] = None
     """pointmaze only: episodes of each route; without it, the number that belongs to the maze."""
     transitions: Annotated[int | None, tyro.conf.arg(metavar="INT")] = None
@@ -244,5 +245,6 @@ def _config(maze: str) -> "StitchConfig":
         raise ConfigError(f"{path}: {error}") from error
     except (ValueError, TypeError, KeyError, AttributeError) as error:
         raise ConfigError(
-            f"{path}: does not describe a maze with its routes ({error}); compare it with the example in docs/data.md"
+            f"{path}: does not describe a maze with its routes ({error}); compare it with the example in "
+            "docs/reference/data.md"
         ) from error

@@ -20,7 +20,7 @@ class CheckOptions(ReaderOptions):
 
     Reads files of ours, of D4RL, Minari, OGBench, d3rlpy, LeRobot, Parquet and CSV, in one pass and without holding
     them in memory. Changes nothing. Ends with 0 if the log is usable, with 1 if it has warnings and --strict is given,
-    with 2 if it has errors. docs/usable.md says what each finding means for learning.
+    with 2 if it has errors. docs/reference/checks.md says what each finding means for learning.
     """
 
     file: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FILE")]

@@ -14,7 +14,7 @@ from odaf.cli.outputs import PAGE, check_outputs
 class PlotOptions:
     """Draw what a data set holds: returns, lengths, the ground it covers, and how its actions are spread.
 
-    Each sign that the log cannot teach what is asked has a picture too: see docs/usable.md.
+    Each sign that the log cannot teach what is asked has a picture too: see docs/reference/checks.md.
 
     One HTML file that needs no network to be read.
     """

@@ -5,7 +5,7 @@
 
 u is a re-parameterised draw, and the squared error of a draw grows with its spread: whatever the log holds, training
 presses the standard deviation towards zero. It says nothing about how sure the action is, and only `log_std_min` stops
-it. docs/algorithms/osr.md has the figures, the source and what is different here.
+it. docs/reference/algorithms/osr.md has the figures, the source and what is different here.
 """
 
 import dataclasses

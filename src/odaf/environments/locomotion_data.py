@@ -2,7 +2,8 @@
 
 `random` plays uniform actions; `medium` and `expert` play one policy each, stochastically; `medium-replay` plays the
 training run up to the medium policy, snapshot after snapshot, each for its share of the run; `medium-expert` is a
-medium half followed by an expert half. docs/generated-data.md says how each differs from the public set of its name.
+medium half followed by an expert half. docs/reference/generated-data.md says how each differs from the public set of
+its name.
 """
 
 from collections.abc import Mapping, Sequence

@@ -1,6 +1,6 @@
 """A quick subset of benchmarks/check_faults.py: sound logs of many kinds pass, and each planted fault is named.
 
-Seeds are neither those that thresholds were chosen with nor those of the table in docs/check-evidence.md.
+Seeds are neither those that thresholds were chosen with nor those of the table in docs/results/check-evidence.md.
 """
 
 import sys

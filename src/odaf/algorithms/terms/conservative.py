@@ -3,7 +3,7 @@
     L_c = weight * sum_k mean_B ( log sum_i exp( Q_k(s, a_i) - log p_i ) - Q_k(s, a) )
 
 The 3 n actions a_i of a state are n uniform ones, n of the policy at s and n of the policy at s', each with the density
-p_i it was drawn from; all of them are valued at s. docs/algorithms/osr.md tells what differs from CQL.
+p_i it was drawn from; all of them are valued at s. docs/reference/algorithms/osr.md tells what differs from CQL.
 """
 
 import dataclasses

@@ -3,7 +3,8 @@
     g_k   = grad_a Q_k(s, a) at logged pairs,   ghat_k = g_k / (|g_k| + 1e-10)
     L_div = weight * mean_B 1/(K - 1) sum_{i != j} <ghat_i, ghat_j>
 
-over all ordered pairs of all K members (An et al. 2021). docs/algorithms/edac.md tells what differs from the paper.
+over all ordered pairs of all K members (An et al. 2021). docs/reference/algorithms/edac.md tells what differs from the
+paper.
 
 The loss depends on the parameters only through the slopes, and a slope only on its own member. So its gradient needs no
 second-order differentiation of the ensemble: with c_k = dL/dg_k held fast, dL/d(theta_k) is the gradient of

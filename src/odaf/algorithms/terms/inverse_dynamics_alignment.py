@@ -3,8 +3,9 @@
     L_osr = weight * mean over rows and action dimensions of KL( pi(s^) || I(s^, s') ),   s^ = s + beta * noise
 
 Both are the Gaussians before the tanh. I is a model of inverse dynamics fitted to the log beforehand: from a state s^
-beside the logged one, its action leads to the logged next state s' (Jiang, Yao and Tan 2023). docs/algorithms/osr.md
-tells what differs from the paper. s' must be the next state, so the learner's `return_steps` has to be 1.
+beside the logged one, its action leads to the logged next state s' (Jiang, Yao and Tan 2023). The page
+docs/reference/algorithms/osr.md tells what differs from the paper. s' must be the next state, so the learner's
+`return_steps` has to be 1.
 """
 
 import dataclasses

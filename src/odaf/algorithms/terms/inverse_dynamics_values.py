@@ -6,7 +6,7 @@
 Our reconstruction: the code of OSR-v was never released and its exact loss could not be checked. What is known is a
 CQL-like regulariser that pushes down the policy's actions at perturbed states and up those of the inverse-dynamics
 model. The log-sum-exp over n importance-weighted actions mirrors CQL, whose conservative term this becomes for a
-vanishing beta, a perfect model and the policy's actions alone. docs/algorithms/osr.md says more.
+vanishing beta, a perfect model and the policy's actions alone. docs/reference/algorithms/osr.md says more.
 s' must be the next state, so the learner's `return_steps` has to be 1.
 """
 

@@ -4,8 +4,8 @@
     U(s')  = std_k Q_k(s', a'),                                       a' ~ pi'(s')
 
 P is a dynamics model fitted to the log beforehand, pi' a slowly moving copy of pi. Steps 2 to 6 of the paper's
-Algorithm 1 stand in `outcome_uncertainty` and `worst_case` below. The page docs/algorithms/odaf.md lists the misprints
-of the paper and how each is read here.
+Algorithm 1 stand in `outcome_uncertainty` and `worst_case` below. The page docs/reference/algorithms/odaf.md lists the
+misprints of the paper and how each is read here.
 """
 
 import dataclasses

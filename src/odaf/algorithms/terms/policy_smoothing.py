@@ -3,7 +3,8 @@
     L_P = weight * mean_B max_i J( pi(s), pi(s + delta_i) ),   delta_i uniform in the box
     J   = KL in one direction + KL in the other, of the Gaussians before the tanh, summed over action dimensions
 
-The gradient goes through both policies (Yang et al. 2022). docs/algorithms/rorl.md tells what differs from the paper.
+The gradient goes through both policies (Yang et al. 2022). docs/reference/algorithms/rorl.md tells what differs from
+the paper.
 """
 
 import dataclasses

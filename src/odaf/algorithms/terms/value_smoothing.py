@@ -4,7 +4,8 @@
     l(i)   = mean_k [ (1 - f) max(D_k, 0)^2 + f min(D_k, 0)^2 ],   f = fall_weight
     L_S    = weight * mean_B max_i l(i)
 
-The gradient goes into both values (Yang et al. 2022). docs/algorithms/rorl.md tells what differs from the paper.
+The gradient goes into both values (Yang et al. 2022). docs/reference/algorithms/rorl.md tells what differs from the
+paper.
 """
 
 import dataclasses

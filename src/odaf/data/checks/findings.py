@@ -20,7 +20,7 @@ class Finding:
     """One thing that a check noticed.
 
     Attributes:
-        check: name of the check, such as `not-finite`; docs/usable.md has a paragraph on each.
+        check: name of the check, such as `not-finite`; docs/reference/checks.md has a paragraph on each.
         severity: `error`: not usable as it is; `warning`: usable, but learning may suffer; `note`: good to know.
         field: the column it is about, empty for the whole log.
         count: how many rows (values, episodes, as the message says) it concerns.

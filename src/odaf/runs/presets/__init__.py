@@ -126,7 +126,9 @@ def _read_own(name: str) -> dict[str, Any]:
     except FileNotFoundError:
         raise ConfigError(f"preset {name}: there is no such file; known presets: {', '.join(_files())}") from None
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise ConfigError(f"preset {name}: cannot be read as TOML ({error}); compare it with docs/presets.md") from None
+        raise ConfigError(
+            f"preset {name}: cannot be read as TOML ({error}); compare it with the example in docs/reference/presets.md"
+        ) from None
     base = fields.get("extends")
     if base is None and "kind" not in fields:
         raise ConfigError(f'preset {name}: needs a line such as extends = "odaf", or kind = "ensemble-sac"')
