@@ -1,6 +1,8 @@
-"""Runs `odaf` and writes down how many programs it took from the folder of compiled ones, and how many from the compiler.
+"""Runs `odaf` and writes down how many programs came from the folder of compiled ones, and how many from the compiler.
 
     python benchmarks/counted.py COUNTS.json train odaf --data log.hdf5 --out runs/odaf
+
+What stands after the file's name is a command of odaf.
 """
 
 import json
