@@ -24,6 +24,10 @@ def _own_cores() -> None:
 
 _own_cores()
 
+# Tests run small programs a few times, so that the compiler's optimisations cost more than they bring: without them the
+# suite takes two thirds of the time. Processes that a test starts inherit it; the wheel's test trains as users do.
+os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true")
+
 import hypothesis  # noqa: E402
 import jax  # noqa: E402
 import jaxtyping  # noqa: E402

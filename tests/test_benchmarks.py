@@ -27,7 +27,10 @@ SCRIPTS = {
 }
 
 
-@pytest.mark.parametrize("name", SCRIPTS)
+SLOW = ("first_update", "many_seeds", "updates_per_second")
+
+
+@pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.slow] * (name in SLOW)) for name in SCRIPTS])
 def test_a_script_runs_and_writes_its_figures(name, tmp_path):
     out = tmp_path / "figures.json"
     done = subprocess.run(

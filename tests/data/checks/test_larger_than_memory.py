@@ -71,7 +71,9 @@ def write(path: Path, own: bool) -> None:
             file.attrs["sha256"] = fingerprint.checksum(arrays, file["metadata"][()].decode())  # type: ignore[index]
 
 
-@pytest.mark.parametrize("own", [True, False], ids=["our own layout", "D4RL layout"])
+@pytest.mark.parametrize(
+    "own", [pytest.param(True, id="our own layout"), pytest.param(False, id="D4RL layout", marks=pytest.mark.slow)]
+)
 def test_a_file_larger_than_memory(own: bool, tmp_path: Path):
     path = tmp_path / "long.hdf5"
     write(path, own)
