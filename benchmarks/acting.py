@@ -6,6 +6,9 @@ checks that the action is finite. Beside it stands the least that could act: the
 with its parameters on the device and a NumPy row that is normalised already, its answer turned into a NumPy array and
 not looked at. Both are called in turn, a few calls each, for many rounds, so that a busy machine is busy for both.
 Figures are medians over the rounds, of the ratio too; "undisturbed" is what the quickest tenth of the rounds took.
+
+Beside them stand steps of policies that compute their observations: of the 11 numbers one or four are formulas, or
+seven are those of the row before and what was done there (`policy.act(carry, readings)`).
 """
 
 import argparse
@@ -13,6 +16,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import jax
@@ -23,6 +27,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.learners import SPEC
 from benchmarks.machine import machine, write_figures
+from odaf.data.derived import Derivation
 from odaf.data.normalisation import Normaliser
 from odaf.runs import presets
 from odaf.training.policy import Policy
@@ -52,6 +57,23 @@ def bare(policy: Policy, row: np.ndarray) -> Callable[[], np.ndarray]:
     return lambda: np.asarray(compiled(arrays, rows))
 
 
+def on_readings(policy: Policy, parts: int, formulas: int, lags: int) -> Callable[[], object]:
+    """A step of the policy whose observations are so many parts, some of them formulas, and earlier rows of these."""
+    actions = tuple(f"a{index}" for index in range(policy.act_dim))
+    readings = [{"recipe": "readings", "columns": [f"x{index}" for index in range(parts - formulas)]}]
+    texts = [f"greatest(x{index}, 0) - abs(x{index + 1})" for index in range(formulas)]
+    computed = [{"recipe": "expression", "name": f"y{index}", "expression": text} for index, text in enumerate(texts)]
+    earlier = [{"recipe": "lags", "rows": lags, "actions": list(actions)}] if lags else []
+    derivation = Derivation.from_recipes([*readings, *computed, *earlier])
+    assert len(derivation.names) == policy.obs_dim
+    deriving = replace(policy, observation_names=derivation.names, action_names=actions, derivation=derivation)
+    row = np.random.default_rng(2).normal(size=len(derivation.readings))
+    carry = deriving.begin()
+    for _ in range(lags):
+        carry = deriving.acted(deriving.act(carry, row)[1], np.zeros(policy.act_dim))
+    return lambda: deriving.act(carry, row)
+
+
 def seconds_a_call(call: Callable[[], object], calls: int) -> float:
     """Wall-clock seconds of one of so many calls."""
     began = time.perf_counter()
@@ -61,7 +83,7 @@ def seconds_a_call(call: Callable[[], object], calls: int) -> float:
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Measure, print three lines, and write the figures if asked to."""
+    """Measure, print a line each, and write the figures if asked to."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--learner", default="odaf", help="preset whose policy acts")
     parser.add_argument("--rounds", type=int, default=1500, help="turns of each")
@@ -79,6 +101,11 @@ def main(arguments: list[str] | None = None) -> None:
     row = np.random.default_rng(1).normal(size=SPEC.obs_dim).astype(np.float32)
     calls = {"policy": lambda: policy(row), "bare": bare(policy, row)}
     assert np.abs(calls["policy"]() - calls["bare"]()[0]).max() < 1e-5
+    calls |= {
+        "one formula": on_readings(policy, 11, 1, 0),
+        "four formulas": on_readings(policy, 11, 4, 0),
+        "the row before": on_readings(policy, 4, 0, 1),
+    }
     seconds: dict[str, list[float]] = {name: [] for name in calls}
     for turn in range(options.rounds):
         for name in list(calls)[:: 1 if turn % 2 else -1]:
@@ -100,6 +127,8 @@ def main(arguments: list[str] | None = None) -> None:
     print(f"{options.learner}: a saved policy has {size / 1e6:.2f} MB")
     for what, each, ratio in (("median", micro, middle), ("undisturbed", quick, quick["policy"] / quick["bare"])):
         print(f"{what}: {each['policy']:.0f} us by the policy, {each['bare']:.0f} us bare, {ratio:.2f} times")
+    for name in list(calls)[2:]:
+        print(f"observations computed, {name}: {micro[name]:.0f} us, undisturbed {quick[name]:.0f} us")
     write_figures(options.json, about, figures)
 
 

@@ -99,14 +99,14 @@ def replayed(log: Any, frame: pl.DataFrame) -> np.ndarray:
     provenance = json.loads(json.dumps(dict(log.provenance)))
     derivation = Derivation.from_provenance(provenance)
     assert derivation is not None and derivation.names == log.observation_names
-    found, shift, state = [], None, derivation.begin()
+    found, shift, memory = [], None, derivation.begin()
     for row in frame.iter_rows(named=True):
         if row["shift"] != shift:
-            shift, state = row["shift"], derivation.begin()
-        observation, state = derivation.step(row, state)
-        if observation is not None:
-            found.append(observation)
-        state = derivation.acted({"valve": row["valve"], "pump": row["pump"]}, state)
+            shift, memory = row["shift"], derivation.begin()
+        observation, memory = derivation.step(np.array([[row[name] for name in derivation.readings]]), memory)
+        if not np.isnan(observation).any():
+            found.append(observation[0])
+        memory = derivation.acted(np.array([[row["valve"], row["pump"]]]), memory)
     return np.stack(found)
 
 
@@ -152,25 +152,42 @@ def test_the_recipes_go_with_the_data(tmp_path: Path):
 def test_what_is_missing_at_work_is_named():
     derivation = Derivation.from_provenance(dict(read(lags=1).provenance))
     assert derivation is not None and derivation.readings == ("level", "setpoint", "temperature")
-    readings = {"level": 1.0, "setpoint": 1.0, "temperature": 20.0}
-    with pytest.raises(DatasetError, match="reading 'setpoint' is missing; give level, setpoint, temperature"):
-        derivation.step({"level": 1.0, "temperature": 1.0}, derivation.begin())
-    with pytest.raises(DatasetError, match="reading 'level' is not a finite number"):
-        derivation.step({**readings, "level": np.nan}, derivation.begin())
-    with pytest.raises(DatasetError, match="reading 'level' is 'Bad', which is no single number"):
-        derivation.step({**readings, "level": "Bad"}, derivation.begin())
-    nothing, state = derivation.step(readings, derivation.begin())
-    assert nothing is None
+    readings, first = np.array([[1.0, 1.0, 20.0]]), derivation.begin()
+    with pytest.raises(DatasetError, match="reading 'level' is not a finite number; a policy"):
+        derivation.step(np.array([[np.nan, 1.0, 20.0]]), first)
+    with pytest.raises(DatasetError, match="reading 'temperature' is not a finite number in row 1"):
+        derivation.step(np.array([[1.0, 1.0, 20.0], [1.0, 1.0, np.inf]]), derivation.begin(2))
+    nothing, memory = derivation.step(readings, first)
+    assert np.isnan(nothing).all()
     with pytest.raises(DatasetError, match="the action of the step before is part of this observation"):
-        derivation.step(readings, state)
-    with pytest.raises(DatasetError, match="action 'pump' is missing; give valve, pump"):
-        derivation.acted({"valve": 1.0}, state)
-    with pytest.raises(DatasetError, match="give a number for each of valve, pump"):
-        derivation.acted([1.0, np.inf], state)
-    observation, _ = derivation.step(readings, derivation.acted([1.0, 2.0], state))
-    assert observation is not None and observation[-2:].tolist() == [1.0, 2.0]
-    with pytest.raises(DatasetError, match="recipe 'wavelet' is unknown to this version"):
-        Derivation.from_provenance({"derived": [{"recipe": "wavelet"}]})
+        derivation.step(readings, memory)
+    observation, _ = derivation.step(readings, derivation.acted(np.array([[1.0, 2.0]]), memory))
+    assert observation[0, -2:].tolist() == [1.0, 2.0]
+
+
+def test_a_formula_without_a_value_is_named_with_its_readings():
+    derivation = Derivation.from_recipes([{"recipe": "expression", "name": "root", "expression": "sqrt(level)"}])
+    with pytest.raises(DatasetError, match=r"'root = sqrt.level.' has no finite value for these readings .level -4"):
+        derivation.step(np.array([[-4.0]]), derivation.begin())
+
+
+@pytest.mark.parametrize(
+    ("recipes", "message"),
+    [
+        ([{"recipe": "wavelet"}], "recipe 'wavelet' is unknown to this version"),
+        ([{"recipe": "lags", "rows": 0, "actions": []}], "recipe 'lags' is unknown"),
+        ([{"recipe": "lags", "rows": 10**9, "actions": []}], "recipe 'lags' is unknown"),
+        ([{"recipe": "lags", "rows": "x", "actions": []}], "recipe 'lags' is damaged"),
+        ([{"recipe": "readings"}], "recipe 'readings' is damaged"),
+        ([{"recipe": "readings", "columns": [1]}], "recipe 'readings' is damaged"),
+        ([{"recipe": "expression", "name": "x", "expression": "exec(level)"}], "function exec is unknown"),
+        (["level"], "recipe None is unknown"),
+        ([{"recipe": "differences"}], "recipes name no reading and no formula"),
+    ],
+)
+def test_recipes_that_are_none_are_refused(recipes: list[Any], message: str):
+    with pytest.raises(DatasetError, match=message):
+        Derivation.from_recipes(recipes)
 
 
 @pytest.mark.parametrize(

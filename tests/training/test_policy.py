@@ -171,8 +171,13 @@ def test_names_units_and_provenance_come_from_the_run_and_older_runs_still_load(
     assert policy.observation_units == ("m", "m³/s", "°C") and policy.action_units == ("%", "")
     fingerprint = dataset.file_fingerprint()
     assert policy.provenance == {
-        "learner": "tiny", "preset": "small", "data_sha256": fingerprint, "seed": 0, "step": 2
-    }  # fmt: skip
+        "learner": "tiny",
+        "preset": "small",
+        "data_sha256": fingerprint,
+        "data_rows_sha256": dataset.fingerprint(),
+        "seed": 0,
+        "step": 2,
+    }
 
     file = tmp_path / "run" / "data.json"
     data = json.loads(file.read_text())

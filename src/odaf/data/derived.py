@@ -3,12 +3,13 @@
 The reader of tables applies them to a whole log and writes them down as recipes, in JSON types, under
 `provenance["derived"]`. `Derivation.from_provenance` makes of the recipes what a policy needs at its place of
 work: from the readings of one step after another come the very observations that the log would have held.
+`odaf.Policy` does this by itself.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,20 +17,19 @@ from odaf.data import expressions
 from odaf.data.expressions import Expression
 from odaf.errors import DatasetError
 
+_MOST_LAGS = 100_000
 
-@dataclass(frozen=True)
-class State:
-    """What a derivation remembers of the steps before; made by `Derivation.begin`, new for every episode.
+
+class Memory(NamedTuple):
+    """What a derivation remembers of the steps before, for episodes side by side; NaN where nothing is known yet.
 
     Attributes:
-        observations: the undelayed observations of the steps before, the latest first, as float32.
-        actions: what was done in these steps.
-        awaits_action: whether the action of the latest step has yet to be told.
+        observations: [rows, history, len(parts)] float32, the undelayed observations, the latest first.
+        actions: [rows, lags, len(actions)] float32, what was done in these steps.
     """
 
-    observations: tuple[np.ndarray, ...] = ()
-    actions: tuple[np.ndarray, ...] = ()
-    awaits_action: bool = False
+    observations: np.ndarray
+    actions: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -62,22 +62,37 @@ class Derivation:
         recipes = [recipe for recipe in provenance.get("derived", ()) if recipe.get("recipe") != "reward"]
         if all(recipe.get("recipe") == "readings" for recipe in recipes):
             return None
+        try:
+            return cls.from_recipes(recipes)
+        except DatasetError as error:
+            raise DatasetError(f"provenance: derived: {error}") from error
+
+    @classmethod
+    def from_recipes(cls, recipes: Iterable[Any]) -> "Derivation":
+        """Inverse of `recipes`; runs no code, whatever stands in them.
+
+        Raises:
+            DatasetError: a recipe is none, or one that this version does not know.
+        """
         parts: list[tuple[str, Expression | None]] = []
         found = cls(())
         for recipe in recipes:
-            kind = recipe.get("recipe")
-            if kind == "readings":
-                parts += [(str(name), None) for name in recipe["columns"]]
-            elif kind == "expression":
-                parts.append((str(recipe["name"]), expressions.parse(str(recipe["expression"]))))
-            elif kind == "differences":
-                found = replace(found, differences=True)
-            elif kind == "lags":
-                found = replace(found, lags=int(recipe["rows"]), actions=tuple(recipe["actions"]))
-            else:
-                raise DatasetError(
-                    f"provenance: derived: recipe {kind!r} is unknown to this version; use the version that wrote it"
-                )
+            kind = recipe.get("recipe") if isinstance(recipe, Mapping) else None
+            try:
+                if kind == "readings":
+                    parts += [(_text(name), None) for name in recipe["columns"]]
+                elif kind == "expression":
+                    parts.append((_text(recipe["name"]), expressions.parse(_text(recipe["expression"]))))
+                elif kind == "differences":
+                    found = replace(found, differences=True)
+                elif kind == "lags" and 0 < int(recipe["rows"]) <= _MOST_LAGS:
+                    found = replace(found, lags=int(recipe["rows"]), actions=tuple(map(_text, recipe["actions"])))
+                else:
+                    raise DatasetError(f"recipe {kind!r} is unknown to this version; use the version that wrote it")
+            except (KeyError, TypeError, ValueError) as error:
+                raise DatasetError(f"recipe {kind!r} is damaged ({error!r}); use the file as it was written") from error
+        if not parts:
+            raise DatasetError("recipes name no reading and no formula; use the file as it was written")
         return replace(found, parts=tuple(parts))
 
     def recipes(self) -> list[dict[str, Any]]:
@@ -119,55 +134,55 @@ class Derivation:
         """How many rows must lie before one of an episode for its observation to be known."""
         return max(self.lags, int(self.differences))
 
-    def begin(self) -> State:
-        """The state before the first step of an episode."""
-        return State()
+    def begin(self, rows: int = 1) -> Memory:
+        """What is remembered before the first step of `rows` episodes that go side by side: nothing."""
+        widths = (self.history, len(self.parts)), (self.lags, len(self.actions))
+        return Memory(*(np.full((rows, *width), np.nan, np.float32) for width in widths))
 
-    def step(self, readings: Mapping[str, Any], state: State) -> tuple[np.ndarray | None, State]:
-        """The observation of one step, and what is to be remembered for the next.
+    def step(self, readings: np.ndarray, memory: Memory) -> tuple[np.ndarray, Memory]:
+        """The observations of one step, and what is to be remembered for the next.
 
         Args:
-            readings: a number by name, at least `self.readings`, in the units of the log.
-            state: of the step before.
+            readings: [rows, len(self.readings)] float64, in the units of the log.
+            memory: of the step before.
 
         Returns:
-            [observations] float32, or None in the first `history` steps of an episode, for which the log has no
-            observation either: somebody else has to act there. Where `lags` is not 0, tell the next step with `acted`
-            what was done in this one.
+            [rows, len(self.names)] float32, NaN in rows of which fewer than `history` steps are known: for these the
+            log has no observation either, and somebody else has to act. Where `lags` is not 0, tell the next step with
+            `acted` what was done in this one.
 
         Raises:
-            DatasetError: a reading is missing or not finite, or nothing was said of what was done in the step before.
+            DatasetError: a reading or what is computed of it is not finite, or nothing was said of what was done in the
+                step before.
         """
-        if state.awaits_action:
+        if self.lags and (np.isnan(memory.actions[:, 0]).any(axis=1) & ~np.isnan(memory.observations[:, 0, 0])).any():
             raise DatasetError(
-                "derivation: the action of the step before is part of this observation; "
-                "tell it with acted(action, state) between two steps"
+                "derivation: the action of the step before is part of this observation, and that step has none; tell "
+                "what was done there with carry = policy.acted(carry, action) between the two steps"
             )
         own = self._undelayed(readings)
-        known = len(state.observations) >= self.history
-        observation = self._joined(own, state) if known else None
-        kept = (own, *state.observations)[: self.history]
-        return observation, replace(state, observations=kept, awaits_action=self.lags > 0)
+        before = memory.observations
+        parts = [own, *([own - before[:, 0]] if self.differences else [])]
+        for lag in range(self.lags):
+            parts += [before[:, lag], memory.actions[:, lag]]
+        seen = np.concatenate(parts, axis=1)
+        if self.history:
+            seen[np.isnan(before[:, -1, 0])] = np.nan
+        later = np.concatenate([own[:, None], before], axis=1)[:, : self.history]
+        actions = np.concatenate([np.full_like(memory.actions[:, :1], np.nan), memory.actions[:, :-1]], axis=1)
+        return seen, Memory(later, actions)
 
-    def acted(self, action: Mapping[str, Any] | Sequence[float] | np.ndarray, state: State) -> State:
-        """The state with what was done in the step that `step` saw last: by name, or in the order of `actions`.
+    def acted(self, actions: np.ndarray, memory: Memory) -> Memory:
+        """What is remembered once it is known what was done in the step that `step` saw last.
 
-        Raises:
-            DatasetError: an action is missing, unknown or not finite.
+        Args:
+            actions: [rows, len(self.actions)], NaN where it is still not known.
+            memory: of `step`.
         """
         if not self.lags:
-            return state
-        if isinstance(action, Mapping):
-            missing = [name for name in self.actions if name not in action]
-            if missing:
-                raise DatasetError(f"derivation: action '{missing[0]}' is missing; give {', '.join(self.actions)}")
-            action = [action[name] for name in self.actions]
-        values = np.asarray(action, np.float32).reshape(-1)
-        if values.shape != (len(self.actions),) or not np.isfinite(values).all():
-            raise DatasetError(
-                f"derivation: got {values.tolist()} as the action; give a number for each of {', '.join(self.actions)}"
-            )
-        return replace(state, actions=(values, *state.actions)[: self.lags], awaits_action=False)
+            return memory
+        told = np.asarray(actions, np.float32)[:, None]
+        return memory._replace(actions=np.concatenate([told, memory.actions[:, 1:]], axis=1))
 
     def of_log(self, own: np.ndarray, actions: np.ndarray, first: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Observations of a whole log.
@@ -190,35 +205,28 @@ class Derivation:
             parts += [_delayed(own, lag), _delayed(actions, lag)]
         return np.concatenate(parts, axis=1), number >= self.history
 
-    def _undelayed(self, readings: Mapping[str, Any]) -> np.ndarray:
-        missing = [name for name in self.readings if name not in readings]
-        if missing:
-            raise DatasetError(f"derivation: reading '{missing[0]}' is missing; give {', '.join(self.readings)}")
-        values: dict[str, np.ndarray] = {}
-        for name in self.readings:
-            try:
-                values[name] = np.asarray(readings[name], np.float64).reshape(1)
-            except (TypeError, ValueError) as error:
-                raise DatasetError(
-                    f"derivation: reading '{name}' is {readings[name]!r:.40}, which is no single number"
-                ) from error
-            if not np.isfinite(values[name]).all():
-                raise DatasetError(
-                    f"derivation: reading '{name}' is not a finite number; a policy has no answer to a missing value, "
-                    "so replace it before the call"
-                )
-        own = computed(self.parts, values)
+    def _undelayed(self, readings: np.ndarray) -> np.ndarray:
+        """[rows, len(parts)] float32."""
+        if not np.isfinite(readings).all():
+            row, column = np.argwhere(~np.isfinite(readings))[0].tolist()
+            where = _in_row(row, readings)
+            raise DatasetError(
+                f"derivation: reading '{self.readings[column]}' is not a finite number{where}; a policy has no answer "
+                "to a missing value, so replace it before the call"
+            )
+        own = computed(self.parts, dict(zip(self.readings, readings.T, strict=True)))
         if not np.isfinite(own).all():
-            name = self.parts[int(np.flatnonzero(~np.isfinite(own[0]))[0])][0]
-            raise DatasetError(f"derivation: '{name}' is not finite for the readings given; check them")
-        return own[0]
-
-    def _joined(self, own: np.ndarray, state: State) -> np.ndarray:
-        before = state.observations
-        parts = [own, *([own - before[0]] if self.differences else [])]
-        for lag in range(self.lags):
-            parts += [before[lag], state.actions[lag]]
-        return np.concatenate(parts)
+            row, part = np.argwhere(~np.isfinite(own))[0].tolist()
+            name, formula = self.parts[part]
+            given = ", ".join(
+                f"{column} {value:.6g}" for column, value in zip(self.readings, readings[row].tolist(), strict=True)
+            )
+            what = name if formula is None else f"{name} = {formula.text}"
+            raise DatasetError(
+                f"derivation: '{what}' has no finite value for these readings{_in_row(row, readings)} ({given[:200]}); "
+                "correct them, or leave the action of this step to somebody else"
+            )
+        return own
 
 
 def read_by(parts: Sequence[tuple[str, Expression | None]]) -> tuple[str, ...]:
@@ -245,6 +253,16 @@ def computed(parts: Sequence[tuple[str, Expression | None]], readings: Mapping[s
         with np.errstate(over="ignore"):
             results.append(values.astype(np.float32))
     return np.stack(results, axis=1)
+
+
+def _text(value: Any) -> str:
+    if not isinstance(value, str):
+        raise TypeError(f"{value!r} is no text")
+    return value
+
+
+def _in_row(row: int, readings: np.ndarray) -> str:
+    return f" in row {row}" if len(readings) > 1 else ""
 
 
 def _delayed(values: np.ndarray, lag: int) -> np.ndarray:

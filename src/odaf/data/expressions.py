@@ -73,11 +73,12 @@ class Expression:
         """
         frame = pl.DataFrame({name: np.asarray(values[name], np.float64) for name in self.columns})
         try:
-            result = frame.lazy().select(pl.sql_expr(self.query).cast(pl.Float64).alias("result")).collect()["result"]
+            # Not lazily, and without another expression for nulls: one row at work takes a third of the time so.
+            result = frame.select(pl.sql_expr(self.query).cast(pl.Float64).alias("result"))["result"]
         except pl.exceptions.PolarsError as error:
             first = str(error).strip().partition("\n")[0]
             raise DatasetError(f"expression '{self.text}': cannot be computed ({first[:120]}); correct it") from error
-        array = result.fill_null(np.nan).to_numpy()
+        array = result.to_numpy()  # nulls become NaN
         missing = np.logical_or.reduce([np.isnan(values[name]) for name in self.columns])
         return np.where(missing, np.nan, array)
 

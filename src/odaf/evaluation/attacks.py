@@ -151,12 +151,19 @@ def threat_model(policy: Policy, attack: Attack, judge: Judge | None = None) -> 
         judge: the critics that are asked, of the policy's own learner or of another one on the same task.
 
     Raises:
-        ConfigError: the objective asks for a Gaussian policy, for one without a memory or for critics, and there is
-            none; the judge knows another task, or the attack has no use for one.
+        ConfigError: the policy computes its observations of readings; the objective asks for a Gaussian policy, for one
+            without a memory or for critics, and there is none; the judge knows another task, or the attack has no use
+            for one.
     """
     if judge is not None and not attack.asks_critics:
         users = ", ".join(name for name, other in ATTACKS.items() if other.asks_critics)
         raise ConfigError(f"attacker: attack '{attack.name}' asks no critics; leave it out, or choose one of {users}")
+    if policy.derivation is not None:
+        raise ConfigError(
+            f"attack '{attack.name}': moves observations within the spread of the logged ones, and this policy "
+            f"computes its {policy.obs_dim} observations of readings ({', '.join(policy.reading_names)}); attack it in "
+            "an environment that gives the observations themselves, or policy.without_derivation()"
+        )
     if attack.objective is None:
         return None
     learner = policy.provenance.get("learner", type(policy.actor).__name__)

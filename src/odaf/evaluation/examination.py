@@ -11,10 +11,12 @@ from typing import Any
 
 import numpy as np
 
+from odaf.data.derived import Derivation
 from odaf.data.spec import Spec
 from odaf.environments.contact_margins import ContactMargins, simulator_of
 from odaf.environments.start_seeds import EVALUATION_SEED_OFFSET
 from odaf.errors import ConfigError
+from odaf.training.policy import Policy
 
 _WITHOUT = "or leave the evaluation out (--evaluate-every 0; evaluate=None in Python)"
 _WRAP = (
@@ -31,18 +33,30 @@ class Examined:
         make_env: builds it, with its observations as one array in the order of the data's columns.
         ignores_seed: what differs between two resets or steps with one seed, in words; empty where nothing does.
         simulator: what plays it, as `odaf.environments.contact_margins.simulator_of` says.
+        derivation: by which policies compute the data's observations from what it gives; None where it gives these.
     """
 
     make_env: Callable[[], Any]
     ignores_seed: str
     simulator: dict[str, Any] | None
+    derivation: Derivation | None = None
+
+    def fitting(self, policy: Policy) -> Policy:
+        """The policy as it takes what the environment gives."""
+        return policy if self.derivation is not None else policy.without_derivation()
 
     @property
     def warnings(self) -> dict[str, str]:
-        """The sentence for the user about an environment that ignores its seed, by kind."""
+        """Sentences for the user about what does not go by itself, by kind."""
+        found = {}
+        if self.derivation is not None and self.derivation.history:
+            found["first-steps"] = (
+                f"observations are made of {self.derivation.history} earlier steps, which the first of an episode have "
+                "not: in these the middle of the action bounds is played, and their rewards count"
+            )
         if not self.ignores_seed:
-            return {}
-        return {
+            return found
+        return found | {
             "unseeded-environment": f"{self.ignores_seed} in two trials with one seed: the environment ignores its "
             "seed, so two evaluations of one policy differ, and so do the starts of two policies that are compared"
         }
@@ -54,6 +68,7 @@ def examine(
     spec: Spec,
     observation_names: Sequence[str],
     rule: ContactMargins | None = None,
+    derivation: Derivation | None = None,
 ) -> Examined:
     """Tries an environment for one step.
 
@@ -63,29 +78,33 @@ def examine(
         spec: sizes and action bounds of the data.
         observation_names: the data's columns, in their order.
         rule: how it was made to count contact margins, for the record.
+        derivation: how the data's observations were computed from readings, if they were. An environment that gives as
+            many numbers as there are readings, or a dictionary with their names, gives readings.
 
     Raises:
         ConfigError: it cannot be made, reset or stepped, or does not fit the data.
     """
+    readings = () if derivation is None else derivation.readings
     first = _attempt(name, "cannot be made", make_env)
     try:
         simulator = simulator_of(first, rule)
         _check_actions(first, name, spec)
         action = _middle(spec)
-        keys, start = _start(first, name, spec, observation_names)
+        keys, start, on_readings = _start(first, name, spec, observation_names, derivation)
         environment = first if keys is None else JoinedObservations(first, keys)
         step = _step(environment, name, action, spec)
         second = _attempt(name, "cannot be made twice", make_env)
         other = second if keys is None else JoinedObservations(second, keys)
         try:
-            ignores = _differs(environment, other, name, action, spec, start, step)
+            ignores = _differs(environment, other, name, action, spec, start, step, readings)
         finally:
             second.close()
     finally:
         first.close()
+    applied = derivation if on_readings else None
     if keys is None:
-        return Examined(make_env, ignores, simulator)
-    return Examined(lambda: JoinedObservations(make_env(), keys), ignores, simulator)
+        return Examined(make_env, ignores, simulator, applied)
+    return Examined(lambda: JoinedObservations(make_env(), keys), ignores, simulator, applied)
 
 
 class JoinedObservations:
@@ -168,28 +187,32 @@ def _middle(spec: Spec) -> np.ndarray:
 
 
 def _start(
-    environment: Any, name: str, spec: Spec, observation_names: Sequence[str]
-) -> tuple[tuple[str, ...] | None, np.ndarray]:
-    """The keys to join where observations are dictionaries, and the first observation as the policy will see it."""
+    environment: Any, name: str, spec: Spec, observation_names: Sequence[str], derivation: Derivation | None
+) -> tuple[tuple[str, ...] | None, np.ndarray, bool]:
+    """The keys to join where observations are dictionaries, the first observation, and whether it holds readings."""
     result = _attempt(name, "its reset(seed=...) fails", lambda: environment.reset(seed=EVALUATION_SEED_OFFSET))
     if not isinstance(result, tuple) or len(result) != 2:
         raise ConfigError(
             f"environment {name}: its reset gives {type(result).__name__}, not (observation, info); it has the "
             "interface of old gym: wrap it for gymnasium (gymnasium.make('GymV21Environment-v0', env=...)), " + _WITHOUT
         )
-    observation = result[0]
+    observation, readings = result[0], () if derivation is None else derivation.readings
     if not isinstance(observation, Mapping):
-        return None, _vector(observation, name, spec)
+        vector = _vector(observation, name, spec, readings)
+        return None, vector, len(vector) == len(readings)
     leaves = _leaves(observation)
-    keys = _order(leaves, observation_names)
-    if keys is None:
-        parts = ", ".join(f"{key} [{part.size}]" for key, part in leaves.items())
-        raise ConfigError(
-            f"environment {name}: observations are dictionaries of {parts}, and the data's {spec.obs_dim} columns "
-            f"({', '.join(observation_names[:4])}{', ...' if len(observation_names) > 4 else ''}) do not say which is "
-            f"which; name the data's columns after these entries (goal_0, goal_1, ...), or {_WRAP}, {_WITHOUT}"
-        )
-    return keys, _vector(np.concatenate([leaves[key] for key in keys]), name, spec)
+    for names in (readings, observation_names):
+        keys = _order(leaves, names) if names else None
+        if keys is not None:
+            joined = np.concatenate([leaves[key] for key in keys])
+            return keys, _vector(joined, name, spec, readings), names is readings
+    parts = ", ".join(f"{key} [{part.size}]" for key, part in leaves.items())
+    of = "" if derivation is None else f" nor do its readings ({', '.join(readings)})"
+    raise ConfigError(
+        f"environment {name}: observations are dictionaries of {parts}, and the data's {spec.obs_dim} columns "
+        f"({', '.join(observation_names[:4])}{', ...' if len(observation_names) > 4 else ''}) do not say which is "
+        f"which{of}; name the data's columns after these entries (goal_0, goal_1, ...), or {_WRAP}, {_WITHOUT}"
+    )
 
 
 def _leaves(observation: Mapping[str, Any], before: str = "") -> dict[str, np.ndarray]:
@@ -225,17 +248,18 @@ def _named_after(key: str, width: int, names: Sequence[str]) -> bool:
     return width > 0 and len(found) == width and found in (list(range(width)), list(range(1, width + 1)))
 
 
-def _vector(observation: Any, name: str, spec: Spec) -> np.ndarray:
+def _vector(observation: Any, name: str, spec: Spec, readings: Sequence[str] = ()) -> np.ndarray:
     try:
         vector = np.asarray(observation, np.float32)
     except (TypeError, ValueError):
         raise ConfigError(
             f"environment {name}: its observation is a {type(observation).__name__}, not one array of numbers; {_WRAP}"
         ) from None
-    if vector.shape != (spec.obs_dim,):
+    if vector.shape != (spec.obs_dim,) and (not readings or vector.shape != (len(readings),)):
+        raw = f", their {len(readings)} readings' {(len(readings),)} ({', '.join(readings)})" if readings else ""
         raise ConfigError(
-            f"environment {name}: its observations have shape {vector.shape}, the data's {(spec.obs_dim,)}; it is not "
-            f"the environment of these data: name another with --env, {_WITHOUT}"
+            f"environment {name}: its observations have shape {vector.shape}, the data's {(spec.obs_dim,)}{raw}; it is "
+            f"not the environment of these data: name another with --env, {_WITHOUT}"
         )
     if not np.isfinite(vector).all():
         column = int(np.argmin(np.isfinite(vector)))
@@ -261,10 +285,11 @@ def _differs(
     spec: Spec,
     start: np.ndarray,
     step: tuple[np.ndarray, float],
+    readings: Sequence[str],
 ) -> str:
     for again in (environment, other):
         observation = _attempt(name, "its second reset fails", lambda env=again: env.reset(seed=EVALUATION_SEED_OFFSET))
-        if not np.array_equal(_vector(observation[0], name, spec), start):
+        if not np.array_equal(_vector(observation[0], name, spec, readings), start):
             return f"{name}: the first observations differ"
         then = _step(again, name, action, spec)
         if not np.array_equal(then[0], step[0], equal_nan=True):

@@ -7,7 +7,8 @@ from typing import Any, Protocol, runtime_checkable
 import jax
 import numpy as np
 
-from odaf.errors import DivergenceError
+from odaf.errors import DatasetError, DivergenceError
+from odaf.training.policy import Policy
 
 
 @runtime_checkable
@@ -24,10 +25,43 @@ class Stepwise(Protocol):
 Acting = Callable[[np.ndarray], np.ndarray] | Stepwise
 
 
+class FromTheStart:
+    """A policy on readings that acts in every step of an episode, as an environment asks for.
+
+    In the first steps, for which there is no observation because nothing lies before them, the middle of the action
+    bounds is played. Readings of which no observation can be computed count as an action that is not finite.
+
+    Args:
+        policy: it has a derivation.
+    """
+
+    def __init__(self, policy: Policy):
+        self._policy = policy
+        self._middle = (0.5 * (np.asarray(policy.action_low) + np.asarray(policy.action_high))).astype(np.float32)
+
+    def begin(self, rows: int) -> Any:
+        return self._policy.begin(rows)
+
+    def act(self, carry: Any, observations: np.ndarray) -> tuple[np.ndarray, Any]:
+        try:
+            actions, carry = self._policy.act(carry, observations)
+        except DatasetError as error:
+            raise DivergenceError(str(error)) from error
+        if np.isnan(actions).any():
+            actions = np.where(np.isnan(actions), self._middle, actions)
+            carry = self._policy.acted(carry, actions)
+        return actions, carry
+
+    def observe(self, carry: Any, rewards: np.ndarray) -> Any:
+        return self._policy.observe(carry, rewards)
+
+
 class Player:
     """Asks a policy for actions and tells it rewards; keeps its carry, if it has any, in between."""
 
     def __init__(self, policy: Acting, episodes: int):
+        if isinstance(policy, Policy) and policy.derivation is not None:
+            policy = FromTheStart(policy)
         self._policy = policy
         self._carry = policy.begin(episodes) if isinstance(policy, Stepwise) else ()
 

@@ -285,6 +285,7 @@ class RolloutEvaluator:
         make_env: builds an environment.
         warnings: what the user must know about the environment, a sentence a kind.
         simulator: what plays it, as `odaf.environments.contact_margins.simulator_of` says.
+        fitting: makes a policy take what the environment gives.
     """
 
     def __init__(
@@ -293,10 +294,11 @@ class RolloutEvaluator:
         make_env: MakeEnvironment,
         warnings: Mapping[str, str] | None = None,
         simulator: dict[str, Any] | None = None,
+        fitting: Callable[[Policy], Policy] = lambda policy: policy,
     ):
         self.rollouts, self.simulator = rollouts, simulator
         self.every = rollouts.every
-        self._make_env, self._warnings = make_env, dict(warnings or {})
+        self._make_env, self._warnings, self._fitting = make_env, dict(warnings or {}), fitting
         self._environments: list[Environment] = []
 
     def __call__(self, policy: Policy, directory: Path, step: int) -> Evaluation:
@@ -308,7 +310,7 @@ class RolloutEvaluator:
         try:
             if not self._environments:
                 self._environments = [self._make_env() for _ in range(self.rollouts.episodes)]
-            found = rollout_in(policy, self._environments, self.rollouts.seed, self.rollouts.max_steps)
+            found = rollout_in(self._fitting(policy), self._environments, self.rollouts.seed, self.rollouts.max_steps)
         except OdafError:
             raise
         except Exception as error:  # an environment of somebody else's fails in ways of its own

@@ -82,12 +82,12 @@ class Trial:
             ConfigError: it does not.
         """
         names, rollouts = self.run.data["summary"]["observation_names"], self.rollouts
-        return examine(rollouts.maker(), rollouts.name, self.run.spec, names, rollouts.rule)
+        return examine(rollouts.maker(), rollouts.name, self.run.spec, names, rollouts.rule, self.run.derivation)
 
     def policies(self) -> Iterator[tuple[int, Policy]]:
-        """Every training seed with what it had learned."""
+        """Every training seed with what it had learned, on what the environment gives."""
         for seed in self.run.seeds:
-            yield seed, self.run.policy(seed, self.run.checkpoint(seed, self.step).step)
+            yield seed, self.examined.fitting(self.run.policy(seed, self.run.checkpoint(seed, self.step).step))
 
     def scores(self, played: Mapping[int, Episodes]) -> Scores:
         """Scores of every seed from the episodes that its policy played."""

@@ -14,7 +14,7 @@ from odaf.environments.contact_margins import ContactMargins
 from odaf.environments.knocks import Knock, Knocked, UnusualStart
 from odaf.environments.reference_returns import reference_of
 from odaf.environments.registry import make_untimed
-from odaf.errors import DatasetError
+from odaf.errors import ConfigError, DatasetError
 from odaf.evaluation.recovery import KnownGround
 from odaf.evaluation.rollouts import Environment, Episodes, rollout
 from odaf.evaluation.scores import Scores
@@ -127,6 +127,12 @@ def knock_scores(
     trial = Trial.of(
         directory, episodes=episodes, seed=seed, step=step, environment=environment, contact_margins=contact_margins
     )
+    if trial.examined.derivation is not None:
+        raise ConfigError(
+            "knock: how far a policy is from logged ground is measured in its observations, and environment "
+            f"{trial.rollouts.name} gives the readings that these are computed of; name one that gives the "
+            "observations themselves with --env, or evaluate without a knock"
+        )
     build, limit = make_untimed(trial.environment)
     counted = trial.rollouts.max_steps or limit or COUNTED_STEPS
     ground, reason = None, ""

@@ -12,6 +12,7 @@ from odaf import training
 from odaf.algorithms.base import Algorithm
 from odaf.components.critics import usable_cores
 from odaf.data.dataset import Dataset
+from odaf.data.derived import Derivation
 from odaf.environments.contact_margins import recorded, warn_if_other
 from odaf.errors import ConfigError
 from odaf.evaluation.rollouts import Rollouts
@@ -157,7 +158,8 @@ def _evaluator(settings: RunSettings, dataset: Dataset) -> Evaluator | None:
     """What tries the policies, or None; examined, so that what cannot work fails before anything is trained."""
     if isinstance(settings.evaluate, Rollouts):
         rollouts = settings.evaluate.resolved(dataset.environment)
-        evaluator = evaluator_of(rollouts, dataset.spec(), dataset.observation_names)
+        derivation = Derivation.from_provenance(dataset.provenance)
+        evaluator = evaluator_of(rollouts, dataset.spec(), dataset.observation_names, derivation)
         warn_if_other(recorded(dataset.provenance), evaluator.simulator)
         return evaluator
     assert settings.evaluate is None or isinstance(settings.evaluate, Evaluator)

@@ -13,6 +13,7 @@ import jax
 
 from odaf.algorithms.registry import register, register_parts
 from odaf.data.dataset import Dataset
+from odaf.data.derived import Derivation
 from odaf.data.spec import Spec
 from odaf.errors import ConfigError, OdafError
 from odaf.evaluation.examination import examine
@@ -44,14 +45,16 @@ def default_workers(seeds: int, cores_each: int = 1) -> int:
     return min(seeds, max(1, cores() // cores_each))
 
 
-def evaluator_of(rollouts: Rollouts, spec: Spec, observation_names: Sequence[str]) -> RolloutEvaluator:
+def evaluator_of(
+    rollouts: Rollouts, spec: Spec, observation_names: Sequence[str], derivation: Derivation | None
+) -> RolloutEvaluator:
     """What plays the episodes that `rollouts`, whose environment is resolved, describes.
 
     Raises:
         ConfigError: policies of such data cannot be tried in that environment.
     """
-    examined = examine(rollouts.maker(), rollouts.name, spec, observation_names, rollouts.rule)
-    return RolloutEvaluator(rollouts, examined.make_env, examined.warnings, examined.simulator)
+    examined = examine(rollouts.maker(), rollouts.name, spec, observation_names, rollouts.rule, derivation)
+    return RolloutEvaluator(rollouts, examined.make_env, examined.warnings, examined.simulator, examined.fitting)
 
 
 def side_by_side(settings: RunSettings, data_path: str | os.PathLike[str] | None, apart: bool) -> TrainSeeds:
@@ -163,7 +166,7 @@ def _train(seed: int) -> OdafError | Literal["finished", "stopped"]:
             stack.enter_context(joined(run.path))
             stack.enter_context(products_in(_shared.settings.precision))
             names = run.data["summary"]["observation_names"]
-            evaluator = evaluator_of(given, run.spec, names) if isinstance(given, Rollouts) else given
+            evaluator = evaluator_of(given, run.spec, names, run.derivation) if isinstance(given, Rollouts) else given
             if isinstance(evaluator, RolloutEvaluator):
                 stack.callback(evaluator.close)
             report.start(compiling_stage(seed), 0)

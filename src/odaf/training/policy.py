@@ -4,10 +4,10 @@ import functools
 import math
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -16,11 +16,21 @@ import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 
 from odaf.components.policies import Actor
+from odaf.data.derived import Derivation, Memory
 from odaf.data.normalisation import Normaliser, unscale_actions
 from odaf.errors import ConfigError, DatasetError, DivergenceError
 from odaf.training.policy_file import read_policy, write_policy
 
+_NO_ANSWER = "a policy has no answer to a missing value, so replace it before the call"
+
 Observation = np.ndarray | Sequence[Any] | Mapping[str, Any]
+
+
+class Carry(NamedTuple):
+    """What a policy on readings with lags or differences carries: earlier steps, and the actor's own carry."""
+
+    memory: Memory
+    actor: PyTree
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,16 +40,21 @@ class Policy:
     Holds all that is needed to act and nothing else: no learner, no critics, no state of training. Calls with equally
     many rows share one compiled function, also across policies whose actors have one structure.
 
+    Where the log computed observations from readings (formulas, lags, differences), the policy takes the readings and
+    computes the very same: a call gives a number for each of `reading_names`. With lags or differences it has a memory,
+    so it is played with `begin` and `act`.
+
     Attributes:
         actor: what acts, on normalised observations, in [-1, 1].
         normaliser: the map of observations fitted on the training data.
         action_low: smallest action in the user's units, one entry a dimension; the actor's -1.
         action_high: largest action; the actor's +1.
-        observation_names: one name per observation dimension, for calls with a dict.
+        observation_names: one name per observation dimension, as the actor sees them.
         action_names: one name per action dimension; may be empty.
         observation_units: one per observation dimension, as the log gave them; empty texts where it gave none.
         action_units: one per action dimension.
         provenance: where it comes from, as plain JSON types; a run says learner, preset, seed and step.
+        derivation: how observations are computed from readings; None where they are the readings.
     """
 
     actor: Actor
@@ -51,6 +66,34 @@ class Policy:
     observation_units: tuple[str, ...] = ()
     action_units: tuple[str, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    derivation: Derivation | None = None
+
+    def __post_init__(self):
+        made = self.observation_names if self.derivation is None else self.derivation.names
+        if made != self.observation_names:
+            raise DatasetError(
+                f"derivation: makes {', '.join(made)}, but the policy's observations are "
+                f"{', '.join(self.observation_names)}; give the recipes of the log that it learned from"
+            )
+        if self.derivation is not None and self.derivation.lags and self.derivation.actions != self.action_names:
+            raise DatasetError(
+                f"derivation: remembers {', '.join(self.derivation.actions)}, but the policy's actions are "
+                f"{', '.join(self.action_names) or 'without names'}; give the recipes of the log that it learned from"
+            )
+
+    @property
+    def reading_names(self) -> tuple[str, ...]:
+        """What a call takes, in order: the readings of which observations are computed, or else these themselves."""
+        return self.observation_names if self.derivation is None else self.derivation.readings
+
+    @property
+    def history(self) -> int:
+        """So many first steps of an episode have no action, because its observation is made of rows before them."""
+        return 0 if self.derivation is None else self.derivation.history
+
+    def without_derivation(self) -> "Policy":
+        """The same policy on observations that are computed already, such as those of its log."""
+        return replace(self, derivation=None)
 
     @property
     def obs_dim(self) -> int:
@@ -66,17 +109,18 @@ class Policy:
 
     def __call__(self, observation: Observation) -> np.ndarray:
         """The deterministic action for one observation [obs_dim] or a batch [rows, obs_dim]; a dict gives each column
-        by its name.
+        by its name. A policy with a derivation takes readings in their place, in the order of `reading_names`.
 
         Returns:
             float32 actions [act_dim] or [rows, act_dim].
 
         Raises:
             ConfigError: the policy has a memory, so that an action depends on the steps before; see `begin`.
-            DatasetError: an observation has the wrong size, a name is missing or unknown, or a value is not finite.
+            DatasetError: an observation has the wrong size, a name is missing or unknown, or a value (or what is
+                computed of it) is not finite.
             DivergenceError: the parameters are those of a run that diverged to infinity.
         """
-        if isinstance(observation, np.ndarray) and observation.shape == self._shape_of_one and not self.has_memory:
+        if isinstance(observation, np.ndarray) and observation.shape == self._shape_of_one and self._is_plain:
             # One row, as at every step of a plant, goes by the shortest way: each call on it counts beside the actor's.
             rows = np.asarray(observation, np.float32)[None]
             action = np.asarray(self._step(self._arrays, (), rows, None)[0])[0]
@@ -97,11 +141,12 @@ class Policy:
     @cached_property
     def has_memory(self) -> bool:
         """Whether actions depend on the steps before, so that `begin`, `act` and `observe` must be used."""
-        return bool(jax.tree.leaves(self.actor.begin(1)))
+        return bool(self.history or jax.tree.leaves(self.actor.begin(1)))
 
     def begin(self, rows: int = 1) -> PyTree:
         """The carry for `act` before the first step of `rows` episodes that are played side by side."""
-        return self.actor.begin(rows)
+        carry = self.actor.begin(rows)
+        return Carry(self.derivation.begin(rows), carry) if self.derivation is not None and self.history else carry
 
     def act(
         self, carry: PyTree, observation: Observation, key: int | PRNGKeyArray | None = None
@@ -114,10 +159,12 @@ class Policy:
             key: None for the deterministic action, else as for `sample`.
 
         Returns:
-            Actions as of a call, and the next carry.
+            Actions as of a call, and the next carry, which takes these actions for those that are played; where others
+            are, tell it with `acted`. NaN in the first `history` steps of an episode: there somebody else has to act.
 
         Raises:
-            DatasetError: as for a call; or the carry is of another number of rows.
+            DatasetError: as for a call; or the carry is of another number of rows, or nobody told what was done in a
+                step for which there was no action.
             DivergenceError: as for a call.
         """
         rows = self._rows(observation)
@@ -129,15 +176,44 @@ class Policy:
                 f"start with carry = policy.begin({len(batch)})"
             )
         key = jr.key(key) if isinstance(key, int | np.integer) else key
-        found, carry = self._step(self._arrays, carry, batch, key)
-        actions = self._finite(np.asarray(found), rows)
+        if self.derivation is None:
+            actions, carry = self._act(carry, batch, key)
+        else:
+            actions, carry = self._act_on_readings(self.derivation, carry, batch, key)
         return (actions[0] if rows.ndim == 1 else actions), carry
+
+    def acted(self, carry: PyTree, actions: Observation) -> PyTree:
+        """The carry after a step in which something else was played than `act` gave.
+
+        Args:
+            carry: of that `act`.
+            actions: what was played, in the log's units: [act_dim] for one episode, [rows, act_dim], or by name.
+
+        Raises:
+            DatasetError: an action is missing, unknown or not finite, or there are not as many as episodes.
+        """
+        if self.derivation is None or not self.derivation.lags:
+            return carry
+        names = self.derivation.actions
+        if isinstance(actions, Mapping):
+            actions = _by_name("action", actions, names, np.float32)
+        played = np.asarray(actions, np.float32)
+        shape = (len(carry.memory.actions), len(names))
+        if played.shape != shape and not (shape[0] == 1 and played.shape == shape[1:]):
+            raise DatasetError(f"action: has shape {played.shape}, not {shape}, in the order {', '.join(names)}")
+        if not np.isfinite(played).all():
+            name = names[int(np.argwhere(~np.isfinite(played))[0][-1])]
+            raise DatasetError(f"action: {name} is not a finite number; tell what was done in the step before")
+        return carry._replace(memory=self.derivation.acted(played.reshape(shape), carry.memory))
 
     def observe(self, carry: PyTree, rewards: np.ndarray | Sequence[float] | float) -> PyTree:
         """The carry after the rewards [rows] that the last actions earned, in the log's units."""
         if not self.has_memory:
             return carry
-        return self.actor.observe(carry, jnp.asarray(np.atleast_1d(np.asarray(rewards, np.float32))))
+        earned = jnp.asarray(np.atleast_1d(np.asarray(rewards, np.float32)))
+        if isinstance(carry, Carry):
+            return carry._replace(actor=self.actor.observe(carry.actor, earned))
+        return self.actor.observe(carry, earned)
 
     # ---- files --------------------------------------------------------------------------------------------------
 
@@ -169,6 +245,33 @@ class Policy:
             )
         return self.act((), observation, key)[0]
 
+    def _act(self, carry: PyTree, rows: np.ndarray, key: PRNGKeyArray | None) -> tuple[np.ndarray, PyTree]:
+        """Actions at observations [rows, obs_dim], and the actor's next carry."""
+        found, carry = self._step(self._arrays, carry, rows, key)
+        return self._finite(np.asarray(found), rows), carry
+
+    def _act_on_readings(
+        self, derivation: Derivation, carry: PyTree, readings: np.ndarray, key: PRNGKeyArray | None
+    ) -> tuple[np.ndarray, PyTree]:
+        """Actions at readings [rows, len(reading_names)], and the next carry."""
+        if not derivation.history:
+            return self._act(carry, derivation.step(readings, derivation.begin(len(readings)))[0], key)
+        rows, memory = derivation.step(readings, carry.memory)
+        known = ~np.isnan(rows).any(axis=1)
+        found, after = self._step(self._arrays, carry.actor, rows, key)  # NaN in rows that hold NaN
+        actions = np.asarray(found)
+        self._finite(actions[known], rows[known])
+        if not known.all():  # an actor sees nothing of a step for which there is no observation
+            after = jax.tree.map(
+                lambda new, old: jnp.where(known.reshape(-1, *(1,) * (jnp.ndim(new) - 1)), new, old), after, carry.actor
+            )
+        return actions, Carry(derivation.acted(actions, memory), after)
+
+    @cached_property
+    def _is_plain(self) -> bool:
+        """Whether an observation goes to the actor as it comes, and nothing is remembered of it."""
+        return self.derivation is None and not self.has_memory
+
     @cached_property
     def _shape_of_one(self) -> tuple[int]:
         return (self.obs_dim,)
@@ -188,13 +291,27 @@ class Policy:
 
     def _rows(self, observation: Observation) -> np.ndarray:
         # Arrays first: to ask whether something is a mapping takes longer than everything else here.
+        names = self.reading_names
+        # Formulas are computed in double precision, from the digits that the log had.
+        kind = np.float32 if self.derivation is None else np.float64
         if not isinstance(observation, np.ndarray) and isinstance(observation, Mapping):
-            observation = self._by_name(observation)
-        rows = np.asarray(observation, np.float32)
-        if rows.ndim not in (1, 2) or rows.shape[-1] != self.obs_dim:
+            observation = _by_name("observation", observation, names, kind)
+        try:
+            rows = np.asarray(observation, kind)
+        except (TypeError, ValueError) as error:
             raise DatasetError(
-                f"observation: has shape {rows.shape}, but this policy takes [{self.obs_dim}] or "
-                f"[rows, {self.obs_dim}] in the order {', '.join(self.observation_names)}"
+                f"observation: holds something else than numbers ({error}); give {', '.join(names)}"
+            ) from error
+        if rows.ndim not in (1, 2) or rows.shape[-1] != len(names):
+            computed = ""
+            if self.derivation is not None:
+                computed = (
+                    f"; these are the readings, of which it computes its {self.obs_dim} observations. For observations "
+                    "that are computed already use policy.without_derivation()"
+                )
+            raise DatasetError(
+                f"observation: has shape {rows.shape}, but this policy takes [{len(names)}] or "
+                f"[rows, {len(names)}] in the order {', '.join(names)}{computed}"
             )
         return rows
 
@@ -204,24 +321,31 @@ class Policy:
             return actions
         if not np.isfinite(rows).all():
             column = int(np.argwhere(~np.isfinite(rows))[0][-1])
-            raise DatasetError(
-                f"observation: {self.observation_names[column]} is not a finite number; "
-                "a policy has no answer to a missing value, so replace it before the call"
-            )
+            raise DatasetError(f"observation: {self.observation_names[column]} is not a finite number; {_NO_ANSWER}")
         raise DivergenceError(
             "policy: its action is not a finite number, so its parameters are broken: training diverged. "
             "Use an earlier checkpoint, as in run.policy(seed, step=...)"
         )
 
-    def _by_name(self, observation: Mapping[str, Any]) -> np.ndarray:
-        missing = [name for name in self.observation_names if name not in observation]
-        unknown = [name for name in observation if name not in self.observation_names]
-        if missing or unknown:
-            raise DatasetError(
-                f"observation: missing {missing or 'none'}, unknown {unknown or 'none'}; "
-                f"give exactly {', '.join(self.observation_names)}"
-            )
-        return np.stack([np.asarray(observation[name], np.float32) for name in self.observation_names], axis=-1)
+
+def _by_name(what: str, given: Mapping[str, Any], names: Sequence[str], kind: type[np.floating[Any]]) -> np.ndarray:
+    """[len(names)] or [rows, len(names)] in the order of the names."""
+    missing = [name for name in names if name not in given]
+    unknown = [name for name in given if name not in names]
+    if missing or unknown:
+        raise DatasetError(
+            f"{what}: missing {missing or 'none'}, unknown {unknown or 'none'}; give exactly {', '.join(names)}"
+        )
+    columns = []
+    for name in names:
+        try:
+            columns.append(np.asarray(given[name], kind))
+        except (TypeError, ValueError) as error:
+            raise DatasetError(f"{what}: {name} is {given[name]!r:.40}, which is no number; {_NO_ANSWER}") from error
+    if len({column.shape for column in columns}) > 1:
+        shapes = ", ".join(f"{name} {column.shape}" for name, column in zip(names, columns, strict=True))
+        raise DatasetError(f"{what}: its columns are of different lengths ({shapes}); give one number a row in each")
+    return np.stack(columns, axis=-1)
 
 
 @functools.lru_cache(maxsize=256)

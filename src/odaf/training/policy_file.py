@@ -8,6 +8,8 @@ the order of their names) and "policy":
     actions         names, units, low and high
     normaliser      `Normaliser.to_dict`
     provenance      where the policy comes from, as its holder gave it
+    derivation      recipes by which observations are computed from readings, as `odaf.data.derived` writes them;
+                    only where there are any. Formulas are texts that polars reads: they run no code
 """
 
 import hashlib
@@ -23,8 +25,9 @@ import numpy as np
 import odaf
 from odaf.components.policies import Actor
 from odaf.components.stored import pack, unpack
+from odaf.data.derived import Derivation
 from odaf.data.normalisation import Normaliser
-from odaf.errors import CheckpointError
+from odaf.errors import CheckpointError, DatasetError
 from odaf.training.files import plain
 from odaf.training.tensors import REMEDY, parsed, read_tensors, write_tensors
 
@@ -54,6 +57,8 @@ def write_policy(path: Path, fields: Mapping[str, Any]) -> None:
         "normaliser": fields["normaliser"].to_dict(),
         "provenance": plain(fields["provenance"]),
     }
+    if fields["derivation"] is not None:
+        content["derivation"] = {"recipes": fields["derivation"].recipes()}
     text = json.dumps(content, separators=(",", ":"), allow_nan=False)
     metadata = {
         "format": FORMAT,
@@ -78,7 +83,7 @@ def read_policy(path: Path) -> dict[str, Any]:
         _refuse(path, f"version: expected {VERSION!r}, found {metadata.get('version')!r}; another odaf wrote it")
     text = metadata.get("policy", "")
     content = parsed(path, "policy", text)
-    if set(content) != set(_SECTIONS):
+    if set(content) - {"derivation"} != set(_SECTIONS):
         _refuse(path, f"policy: expected {', '.join(_SECTIONS)}, found {sorted(content)}")
     if metadata.get("sha256") != _digest(text, arrays):
         _refuse(path, "sha256: the content was changed after it was written")
@@ -96,7 +101,26 @@ def read_policy(path: Path) -> dict[str, Any]:
         _refuse(path, f"actor: acts with {acts[1]}{list(acts[0])}, which does not fit the actions' bounds")
     if not isinstance(content["provenance"], dict):
         _refuse(path, "provenance: must be a JSON object")
-    return {"actor": actor, "normaliser": normaliser, **columns, "provenance": content["provenance"]}
+    fields = {"actor": actor, "normaliser": normaliser, **columns, "provenance": content["provenance"]}
+    return fields | {"derivation": _derivation(path, content, columns)}
+
+
+def _derivation(path: Path, content: dict[str, Any], columns: Mapping[str, tuple[Any, ...]]) -> Derivation | None:
+    """How observations are computed, if they are; it must make those of the file, of the actions of the file."""
+    if "derivation" not in content:
+        return None
+    entry = content["derivation"]
+    if not isinstance(entry, dict) or set(entry) != {"recipes"} or not isinstance(entry["recipes"], list):
+        _refuse(path, "derivation: expected a list of recipes")
+    try:
+        found = Derivation.from_recipes(entry["recipes"])
+    except DatasetError as error:
+        _refuse(path, f"derivation: {error}")
+    if found.names != columns["observation_names"]:
+        _refuse(path, f"derivation: makes {', '.join(found.names)}, which are not the observations")
+    if found.lags and found.actions != columns["action_names"]:
+        _refuse(path, f"derivation: remembers {', '.join(found.actions)}, which are not the actions")
+    return found
 
 
 def _columns(path: Path, content: dict[str, Any], obs_dim: int) -> dict[str, tuple[Any, ...]]:

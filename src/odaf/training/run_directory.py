@@ -21,6 +21,7 @@ import numpy as np
 
 from odaf.algorithms.base import Algorithm
 from odaf.algorithms.config import from_dict
+from odaf.data.derived import Derivation
 from odaf.data.normalisation import Normaliser
 from odaf.data.spec import Spec
 from odaf.errors import CheckpointError, ConfigError
@@ -201,9 +202,20 @@ class RunDirectory:
                 "learner": self.algorithm.kind,
                 "preset": self.config.get("preset"),
                 "data_sha256": self.data.get("sha256"),
+                "data_rows_sha256": self.data.get("rows_sha256"),
                 **provenance,
             },
+            derivation=self.derivation,
         )
+
+    @functools.cached_property
+    def derivation(self) -> Derivation | None:
+        """How observations are computed from readings; None where the data hold the readings themselves.
+
+        Raises:
+            DatasetError: another version of odaf recorded it.
+        """
+        return Derivation.from_provenance(self.data["summary"].get("provenance", {}))
 
     def metrics(self, seed: int) -> list[dict[str, Any]]:
         """The lines of the seed's `metrics.jsonl`; one torn by a kill is left out."""
