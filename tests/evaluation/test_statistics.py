@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy import stats
 
 from odaf.errors import ConfigError
-from odaf.evaluation import bootstrap_interval, paired_difference, t_interval
+from odaf.evaluation import bootstrap_interval, difference, improvement, paired_difference, t_interval
+from odaf.evaluation.statistics import interquartile_mean, seeds_to_decide
 
 
 def test_t_interval_of_four_values_by_hand():
@@ -74,3 +76,68 @@ def test_bad_values_are_refused(values):
 def test_bad_confidence_is_refused():
     with pytest.raises(ConfigError, match="confidence"):
         t_interval([1.0, 2.0], 95.0)
+
+
+FIRST, SECOND = [118.0, 122.0, 120.0, 128.0, 131.0], [109.0, 131.0, 96.0]
+
+
+def test_a_difference_of_independent_seeds_is_welchs():
+    found = difference(FIRST, SECOND, paired=False)
+    expected = stats.ttest_ind(FIRST, SECOND, equal_var=False).confidence_interval(0.95)
+    assert (found.statistic, found.counts) == ("Welch's t", (5, 3))
+    assert found.mean == pytest.approx(np.mean(FIRST) - np.mean(SECOND))
+    assert (found.low, found.high) == pytest.approx((expected.low, expected.high), rel=1e-9)
+    assert not found.decided and difference([1e-200, 2e-200], [3.0, 3.0], paired=False).decided
+
+
+def test_a_difference_of_pairs_takes_out_what_they_share():
+    found = difference([101.0, 52.0, 3.0], [100.0, 50.0, 0.0], paired=True)
+    expected = stats.ttest_rel([101.0, 52.0, 3.0], [100.0, 50.0, 0.0]).confidence_interval(0.95)
+    assert (found.statistic, found.counts, found.mean) == ("paired t", (3, 3), 2.0)
+    assert (found.low, found.high) == pytest.approx((expected.low, expected.high), rel=1e-9)
+    assert found.enough == 4  # 4 seeds: 3.182446 / 2 = 1.59 < 2; 3 seeds: 2.48, as above
+
+
+@pytest.mark.parametrize(("mean", "spreads"), [(3.0, (7.0, 2.0)), (-0.4, (1.0, 30.0)), (5.0, (0.0, 6.0))])
+def test_so_many_seeds_decide_and_one_less_does_not(mean, spreads):
+    """The test at that many seeds is scipy's, made from means and standard deviations alone."""
+    enough = seeds_to_decide(mean, list(spreads))
+    assert enough is not None and enough > 2
+    for count, decides in ((enough, True), (enough - 1, False)):
+        found = stats.ttest_ind_from_stats(mean, spreads[0], count, 0.0, spreads[1], count, equal_var=False)
+        assert (found.pvalue < 0.05) == decides
+
+
+def test_how_many_seeds_would_decide_is_not_said_without_a_spread_or_a_difference():
+    assert seeds_to_decide(1.0, [0.0, 0.0]) is None
+    assert seeds_to_decide(1.0, [math.nan, 1.0]) is None
+    assert seeds_to_decide(0.0, [1.0]) is None
+    assert seeds_to_decide(1e-14, [1.0]) is None
+    assert difference([1.0], [2.0, 3.0], paired=False).enough is None
+    # Far apart, two seeds do: 12.7062 * 0.1 / sqrt(2) = 0.9.
+    assert seeds_to_decide(1.0, [0.1]) == 2
+
+
+def test_probability_of_improvement_is_mann_and_whitneys():
+    ties = [118.0, 96.0, 140.0]
+    found = improvement(FIRST, ties)
+    assert found.probability == pytest.approx(stats.mannwhitneyu(FIRST, ties).statistic / 15) == 9.5 / 15
+    assert found.low < found.probability < found.high
+    assert found == improvement(FIRST, ties)
+    assert improvement([2.0, 3.0], [1.0, 0.0]) == improvement([5.0, 5.0], [1.0, 1.0])  # 1, from 1 to 1
+    alone = improvement([2.0], [1.0, 3.0])
+    assert alone.probability == 0.5 and math.isnan(alone.low) and math.isnan(alone.high)
+
+
+def test_bootstrap_of_the_probability_of_improvement_by_hand():
+    # X is always 1, Y is 0 or 2: of the resamples of Y a quarter has two 2s, a half one, a quarter none, so P(X > Y)
+    # is 0, 1/2 and 1 with odds 1 : 2 : 1.
+    wide, narrow = (improvement([1.0, 1.0], [0.0, 2.0], confidence) for confidence in (0.6, 0.4))
+    assert (wide.low, wide.high, narrow.low, narrow.high) == (0.0, 1.0, 0.5, 0.5)
+
+
+def test_interquartile_mean_leaves_a_quarter_out_at_each_end():
+    assert interquartile_mean([1000.0, 1.0, 2.0, 3.0, 4.0, -50.0, 5.0, 6.0]) == 3.5  # of 2, 3, 4, 5
+    assert interquartile_mean([1.0, 5.0, 9.0]) == 5.0
+    with pytest.raises(ConfigError, match="finite numbers"):
+        interquartile_mean([])

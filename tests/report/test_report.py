@@ -10,7 +10,9 @@ import pytest
 
 from odaf import report
 from odaf.errors import CheckpointError, ConfigError
-from odaf.report import extras
+from odaf.report import extras, page
+from odaf.report.records import read_run
+from odaf.report.scores import score
 
 
 class Page(HTMLParser):
@@ -75,6 +77,22 @@ def comparison(tmp_path_factory, run_writer):
     return runs, build(runs, folder / "pages" / "report.html")
 
 
+@pytest.fixture
+def runs_of_means(run_writer, tmp_path):
+    """Records of runs whose seeds have the given means."""
+
+    def write(*means):
+        for run, levels in enumerate(means):
+            directory = run_writer(tmp_path / f"run-{run}", seeds=tuple(range(len(levels))), evaluated=False)
+            for seed, level in enumerate(levels):
+                path = directory / f"seed-{seed}" / "summary.json"
+                evaluation = {"step": 20000, "mean_return": level, "std_return": 1.0, "episodes": 5}
+                path.write_text(json.dumps(json.loads(path.read_text()) | {"evaluation": evaluation}))
+        return [read_run(tmp_path / f"run-{run}") for run in range(len(means))]
+
+    return write
+
+
 def test_page_needs_nothing_but_itself(comparison):
     _, page = comparison
     assert not re.findall(r"https?:|//[a-z]", page.source), "an address of something outside"
@@ -101,8 +119,8 @@ def test_normalised_scores_stand_beside_the_raw_return_with_the_environment_vers
 
     means = [evaluation(run, seed)["mean_return"] for seed in (0, 1)]
     row = page.row("odaf hop")
-    assert row[1:3] == [f"{np.mean(means):,.1f}", f"{score(np.mean(means))} Hopper-v5"]
-    assert page.row("the log, best")[1:3] == ["72.6", f"{score(72.63)} Hopper-v4"]  # the log's own version
+    assert (row[1], row[3]) == (f"{np.mean(means):,.1f}", f"{score(np.mean(means))} Hopper-v5")
+    assert page.row("the log, best")[1:4] == ["72.6", "", f"{score(72.63)} Hopper-v4"]  # the log's own version
     seeds = [row for row in page.rows if row[:1] == ["odaf"] and row[1] in ("0", "1")]
     assert [" ".join(row[3].split()) for row in seeds] == [f"{score(mean)} Hopper-v5" for mean in means]
     assert f"normalised score {score(np.mean(means))} in Hopper-v5" in page.text
@@ -136,40 +154,129 @@ def test_table_holds_each_method_with_its_numbers(comparison):
         means = np.array([entry["mean_return"] for entry in evaluations])
         row = page.row(f"{method} {run.name}")
         assert row[1] == f"{means.mean():.1f}"
-        assert row[2] == f"{np.concatenate([entry['returns'] for entry in evaluations]).std():.1f}"
         # Student's t with one degree of freedom is 12.7062 (any printed table); the standard error of two values is
         # half their distance.
         half = 12.7062 * abs(means[0] - means[1]) / 2
-        assert row[3] == f"{means.mean() - half:.1f} to {means.mean() + half:.1f}"
+        assert row[2] == f"{means.mean() - half:.1f} to {means.mean() + half:.1f}"
         share = 100 if method == "odaf" else 10
-        assert row[4:6] == [f"{share} %", f"{share} %"]
-        assert row[6:8] == ["20,000", "61.5"]
-        assert row[8] == "5 min"
-        assert row[9] == "2"
+        assert row[3:] == [f"{share} %", f"{share} %", "20,000", "61.5", "5 min", "2", "100"]
 
 
-def test_headline_speaks_of_odaf_wherever_it_stands_in_the_list(comparison):
+def test_headline_speaks_of_the_highest_mean_in_the_words_of_the_table(comparison):
     runs, page = comparison
     mean = np.mean([evaluation(runs[1], seed)["mean_return"] for seed in (0, 1)])
     assert f"odaf: mean return {mean:.1f}" in page.text
     assert "best logged return 72.6" in page.text
-    assert f"{mean / 72.63:.2f} times the best logged return. Every seed is above it." in page.text
+    interval = page.row("odaf first")[2]
+    assert (
+        f"odaf has the highest mean return, {mean:.1f} (95 % interval {interval}). That is above the best" in page.text
+    )
+    assert "Its interval lies above those of all others." in page.text
     assert "199,000 logged transitions 1,000 episodes maze stitch" in page.text
 
 
 def test_each_seed_has_its_row(comparison):
     runs, page = comparison
-    rows = [row for row in page.rows if len(row) == 10 and row[8] == "finished"]
+    rows = [row for row in page.rows if row and row[-1] == "finished"]
     expected = [f"{evaluation(run, seed)['mean_return']:.1f}" for run in runs for seed in (0, 1)]
     assert [row[2] for row in rows] == expected
 
 
-def test_every_score_of_generated_data_says_so(comparison):
+def test_generated_data_are_named_once_over_the_scores_and_once_over_their_table(comparison, run_writer, tmp_path):
     _, page = comparison
-    tiles = page.source.split('<dl class="tiles">')[1].split("</dl>")[0]
-    assert tiles.count("<dt>") == tiles.count("locally generated data") == 4
-    for start in ("odaf first", "behaviour-cloning cloned", "the log, best", "the log, mean"):
-        assert page.row(start)[-1] == "locally generated data"
+    assert page.source.count('<span class="tag">locally generated data</span>') == 2
+    head, table = page.source.split("Methods compared")
+    assert '<span class="tag">' in head.split("<dl")[0]
+    assert '<span class="tag">' in table.split("<table")[0]
+    others = [
+        run_writer(tmp_path / "ours", "odaf", seeds=(0,)),
+        run_writer(tmp_path / "theirs", "rorl", seeds=(0,), data={"provenance": {"file": "hopper.h5"}}),
+    ]
+    assert "locally generated data: odaf" in build(others, tmp_path / "report.html").text
+
+
+def test_no_method_is_set_apart_by_its_name(comparison):
+    """But for the colours and dashes of its curve, every row of the table is written alike."""
+    _, page = comparison
+    table = page.source.split('<table class="scores">')[1].split("</tbody>")[0]
+    rows = re.findall(r"<tr>.*?</tr>", table.split("<tbody>")[1], flags=re.DOTALL)
+    bare = [re.sub(r"<svg.*?</svg>|(?<=>)[^<]+", "", row, flags=re.DOTALL) for row in rows]
+    assert len(bare) == 2 and bare[0] == bare[1]
+    tile = page.source.split('<dl class="tiles">')[1].split(">")[0]
+    assert tile.strip() == '<div class="tile"'
+
+
+def test_what_no_run_has_leaves_neither_columns_nor_sections(run_writer, tmp_path):
+    run = run_writer(tmp_path / "run", "rorl", 50.0, seeds=(0,), critic=False, data={"environment": False})
+    summary = json.loads((run / "seed-0" / "summary.json").read_text())
+    for rate in ("success_rate", "stitched_rate"):
+        del summary["evaluation"][rate]
+    (run / "seed-0" / "summary.json").write_text(json.dumps(summary))
+    page = build([run], tmp_path / "report.html")
+    header = next(row for row in page.rows if row[0] == "method")
+    assert header[1:] == [
+        "mean return",
+        "spread over episodes",
+        "updates",
+        "updates/s",
+        "training",
+        "seeds",
+        "episodes",
+    ]
+    assert page.row("rorl run")[2] == f"± {summary['evaluation']['std_return']:.1f}"
+    assert "One seed has no such interval" in page.text and "Student's t" not in page.text
+    headings = re.findall(r"<h2>(.*?)</h2>", page.source)
+    assert headings == ["Returns", "Score", "Configuration", "Make it again"]
+
+
+def test_methods_whose_intervals_overlap_are_not_ranked(run_writer, tmp_path):
+    names = ("odaf", "rorl", "edac", "sac-n")
+    levels = zip(names, (100.0, 99.0, 20.0, 60.0), ((0, 1, 2), (0, 1, 2), (0, 1, 2), (0,)), strict=True)
+    runs = [run_writer(tmp_path / name, name, level, seeds=seeds) for name, level, seeds in levels]
+    text = build(runs, tmp_path / "report.html").text
+    assert "Its interval overlaps with that of rorl: that does not decide between them." in text
+    assert "sac-n has one seed, so nothing is decided there." in text
+    alone = build([runs[3], runs[2]], tmp_path / "report.html").text
+    assert "sac-n has one seed, so that does not decide which method is better." in alone
+
+
+def test_headline_compares_numbers_as_they_are_shown(runs_of_means):
+    """A mean of 72.631 beside a best of 72.63 is not said to be above it; equal figures share the first place."""
+    first, second = runs_of_means([72.631, 72.629], [72.634, 72.632])
+    scores = [score(run, name) for run, name in ((first, "first"), (second, "second"))]
+    said = page.verdict([first, second], scores, 1, 1)
+    assert said.startswith("second, first have the highest mean return, 72.6 each. That is at the best logged episode")
+    assert "overlaps with that of first" in said
+    assert "second has the highest mean return, 72.633 (95 % interval" in page.verdict([first, second], scores, 1, 3)
+
+
+def test_names_can_be_chosen(run_writer, tmp_path):
+    runs = [run_writer(tmp_path / name, "odaf", seeds=(0,)) for name in ("one", "two")]
+    out = tmp_path / "report.html"
+    page = Page(report.build(runs, out, names=["<ours>", "theirs"]).read_text())
+    assert page.row("<ours> one") and page.row("theirs two")
+    for names, said in (
+        (["a"], r"names: 1 for 2 runs \(.*one.*two\)"),
+        (["a", "a"], "'a' is given twice"),
+        (["a", " "], "empty"),
+    ):
+        with pytest.raises(ConfigError, match=said):
+            report.build(runs, out, names=names)
+
+
+def test_an_evaluation_without_a_sound_episode_is_named(run_writer, tmp_path):
+    run = run_writer(tmp_path / "run", seeds=(0,), evaluated=False)
+    summary = json.loads((run / "seed-0" / "summary.json").read_text())
+    summary["evaluation"] = {
+        "step": 20000,
+        "mean_return": None,
+        "std_return": None,
+        "episodes": 2,
+        "returns": [None] * 2,
+    }
+    (run / "seed-0" / "summary.json").write_text(json.dumps(summary))
+    text = build([run], tmp_path / "report.html").text
+    assert "seed 0: every episode of its last evaluation broke off on a number that is not finite" in text
 
 
 def test_mazes_show_stitched_paths_apart_from_others(comparison):
@@ -185,10 +292,9 @@ def test_mazes_show_stitched_paths_apart_from_others(comparison):
         assert re.search(rf">{letter}</text>", odaf)
 
 
-def test_health_section_names_warnings_and_methods_without_a_critic(comparison):
+def test_health_section_names_warnings(comparison):
     _, page = comparison
     assert "odaf, seed 0. update 7,000: critic/max is 140.2; what helps: <layer>" in page.text
-    assert "No critic was logged by behaviour-cloning." in page.text
     assert "rewards allow 0.0 to 99.8" in page.text  # 0.998 / (1 - 0.99)
 
 
@@ -285,15 +391,18 @@ def not_a_number(run):
     ("damage", "said"),
     [
         (without_evaluation, ["odaf, seed 0: no evaluation, so it has no score.", "has not been evaluated"]),
-        (killed_early, ["odaf: no seed has started", "No run has been evaluated"]),
-        (killed_before_any_line, ["odaf, seed 0: unfinished, 0 of 20,000 updates so far.", "No evaluation kept"]),
+        (killed_early, ["odaf: no seed has started", "odaf has not been evaluated"]),
+        (
+            killed_before_any_line,
+            ["odaf, seed 0: unfinished, 0 of 20,000 updates so far.", "no evaluation, so it has no"],
+        ),
         (torn, ["odaf, seed 0: unfinished, 20,000 of 20,000 updates so far."]),
-        (without_maze, ["The environment is not a maze", "1,000 episodes Hopper-v5"]),
+        (without_maze, ["1,000 episodes Hopper-v5"]),
         (
             only_the_configuration,
             ["data.json is missing", "environment.json is missing", "does not tell which command"],
         ),
-        (not_a_number, ["No critic was logged by odaf", "No run logged a temperature."]),
+        (not_a_number, ["odaf has a mean return of"]),
     ],
     ids=lambda value: getattr(value, "__name__", None),
 )
@@ -303,6 +412,7 @@ def test_incomplete_runs_still_give_a_page_that_names_what_is_missing(run_writer
     page = build([run], tmp_path / "report.html")
     for words in said:
         assert words in page.text
+    assert ("Health of training" in page.text) == (damage in (without_evaluation, torn, without_maze))
     if damage is without_maze:
         assert "locally generated data" not in page.text
 
@@ -318,8 +428,8 @@ def test_last_evaluation_counts_and_not_the_best(run_writer, tmp_path):
     (run / "seed-0" / "summary.json").write_text(json.dumps(summary))
     page = build([run], tmp_path / "report.html")
     played = "odaf run · MuJoCo 3.3.7, the larger contact margin counted"
-    assert page.row(played)[1:4] == ["33.2", "2.0", "–"]
-    assert "On average odaf earns less than the log's mean." in page.text
+    assert page.row(played)[1:4] == ["33.2", "± 2.0", "20,000"]
+    assert "odaf has a mean return of 33.2 (one seed). That is below the log's mean (40.2)." in page.text
 
 
 def test_runs_on_different_data_are_called_out(run_writer, tmp_path):
@@ -331,7 +441,7 @@ def test_runs_on_different_data_are_called_out(run_writer, tmp_path):
     for run, file in zip(runs, ("file", "the same file with a note"), strict=True):
         (run / "data.json").write_text(json.dumps(data | {"sha256": file, "rows_sha256": "rows"}))
     assert "trained on different data" not in build([tmp_path], tmp_path / "report.html").text
-    assert page.row("odaf (one)")[0] and page.row("odaf (two)")[0], "equal methods are told apart by directory"
+    assert page.row("odaf, data print ab12ab12 one") and page.row("odaf, data print other two")
 
 
 def test_what_is_no_run_is_refused_by_name(run_writer, tmp_path):

@@ -1,19 +1,23 @@
 """What the report is made of: reading, scores, settings, mazes, curves, and picture files."""
 
+import dataclasses
 import json
 
 import numpy as np
 import pytest
+from markupsafe import Markup
 from matplotlib.figure import Figure
 from matplotlib.image import imread
+from matplotlib.text import Text
 
 from odaf.errors import ConfigError
-from odaf.report import charts, drawing, figures, page
+from odaf.report import chart, charts, drawing, figures, lettering, page
 from odaf.report.configuration import differences, flatten
 from odaf.report.layout import maze_layout
+from odaf.report.names import names_of
 from odaf.report.quantities import Curve, Trajectories
 from odaf.report.records import Evaluation, read_run
-from odaf.report.scores import episode_std, headline_index, labels, score
+from odaf.report.scores import episode_std, headline_index, score
 
 MAZE = {
     "name": "pointmaze",
@@ -80,13 +84,142 @@ def test_later_line_of_a_step_replaces_the_earlier_one(run_writer, tmp_path):
     assert series.values.tolist() == [7.0, 6.0]
 
 
-def test_headline_prefers_the_method_of_that_name(runs, run_writer, tmp_path):
-    odaf, cloned = (read_run(run) for run in runs)
-    without = read_run(run_writer(tmp_path / "without", "odaf-without-outcome", seeds=()))
-    assert headline_index([cloned, without, odaf]) == 2
-    assert headline_index([cloned, without]) == 1
-    assert headline_index([cloned]) == 0
-    assert labels([odaf, cloned, odaf]) == [f"odaf ({runs[0]})", "behaviour-cloning", f"odaf ({runs[0]})"]
+def test_headline_is_the_highest_mean_whatever_the_names(runs, run_writer, tmp_path):
+    odaf, cloned = (score(read_run(run), run.name) for run in runs)
+    better = dataclasses.replace(cloned, mean=1000.0)
+    never = score(read_run(run_writer(tmp_path / "never", "odaf", seeds=())), "odaf")
+    assert headline_index([cloned, odaf]) == 1
+    assert headline_index([odaf, better, never]) == 1
+    assert headline_index([never, never]) == 0
+
+
+def changed(run, name, value, file="config.json"):
+    """The run with one setting of its learner, or of another file, changed."""
+    content = json.loads((run / file).read_text())
+    place, *path = name.split(".")
+    inner = content
+    for part in [place, *path][:-1]:
+        inner = inner[int(part) if isinstance(inner, list) else part]
+    inner[[place, *path][-1]] = value
+    (run / file).write_text(json.dumps(content))
+    return run
+
+
+def test_runs_are_named_by_what_differs_between_them(run_writer, tmp_path):
+    four, ten, weight, cloned = (
+        run_writer(tmp_path / name, preset, seeds=(), critic=preset == "odaf")
+        for name, preset in (("a", "odaf"), ("b", "odaf"), ("c", "odaf"), ("d", "behaviour-cloning"))
+    )
+    changed(four, "algorithm.num_critics", 4)
+
+    def named(*runs):
+        return names_of([read_run(run) for run in runs])
+
+    assert named(four, cloned) == ["odaf", "behaviour-cloning"]
+    assert named(four, ten, cloned) == ["odaf, num_critics 4", "odaf, num_critics 10", "behaviour-cloning"]
+    assert named(ten, weight) == ["odaf (b)", "odaf (c)"], "nothing differs"
+    changed(weight, "algorithm.terms.0.weight", 0.1)
+    assert named(ten, weight) == ["odaf, outcome.weight 0.3", "odaf, outcome.weight 0.1"]
+    assert named(four, ten, weight)[2] == "odaf, num_critics 10, outcome.weight 0.1"
+    changed(weight, "algorithm.terms.0.weight", 0.3)
+    changed(weight, "steps", 5)
+    assert named(ten, weight) == ["odaf, steps 20000", "odaf, steps 5"]
+    changed(weight, "path", "other.h5", "data.json")
+    changed(weight, "steps", 20000)
+    assert named(ten, weight) == ["odaf (b)", "odaf (c)"], "the same log under another name"
+    changed(weight, "sha256", "cd34", "data.json")
+    assert named(ten, weight) == ["odaf, data stitch.h5", "odaf, data other.h5"]
+
+
+def test_of_many_settings_those_name_a_run_that_tell_it_apart(run_writer, tmp_path):
+    """Four settings differ; the first that differs parts both runs, and the rest is in the page's table."""
+    runs = [run_writer(tmp_path / name, "odaf", seeds=()) for name in "ab"]
+    for name, value in (("num_critics", 4), ("discount", 0.9), ("critic_norm", "none"), ("hidden_sizes", [8, 8])):
+        changed(runs[1], f"algorithm.{name}", value)
+    assert names_of([read_run(run) for run in runs]) == ["odaf, num_critics 10", "odaf, num_critics 4"]
+    changed(runs[1], "algorithm.discount", 0.99)
+    first, second = names_of([read_run(run) for run in runs])
+    assert first == "odaf, num_critics 10, critic_norm layer, without hidden_sizes"
+    assert second == "odaf, num_critics 4, critic_norm none, hidden_sizes 8 8"
+    assert names_of([read_run(runs[0])] * 2) == [f"odaf ({runs[0]})"] * 2
+
+
+LONG = [f"odaf-locomotion-without-outcome, num_critics {n}, outcome.dynamics.hidden_sizes 256 256" for n in range(8)]
+NEAR = [("best logged", 72.63), ("logged mean", 72.5), ("best logged", 72.8), ("logged mean", 140.0)]
+
+
+def collisions(figure):
+    """Pairs of words of a picture that lie on each other, and words that leave it."""
+    figure.draw_without_rendering()
+    axis = [axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)]
+    off = {
+        word
+        for axes in figure.axes
+        if not axes.axison
+        for one in (axes.xaxis, axes.yaxis)
+        for word in one.findobj(Text)
+    }
+    # An axis keeps marks beyond its ends, which are not drawn.
+    beyond = [(mark.label1, mark.get_loc(), one.get_view_interval()) for one in axis for mark in one.majorTicks]
+    hidden = {label for label, place, ends in beyond if not min(ends) <= place <= max(ends)}
+    words = [word for word in figure.findobj(Text) if word.get_visible() and word.get_text().strip()]
+    words = [word for word in words if word not in hidden | off]
+    boxes = [(word.get_text(), Text.get_window_extent(word)) for word in words]
+    # A hair's breadth is no collision.
+    inner = [(text, box.padded(-0.5)) for text, box in boxes]
+    found = [(one, other) for i, (one, a) in enumerate(inner) for other, b in inner[:i] if a.overlaps(b)]
+    whole = figure.bbox.padded(1.0)
+    return found + [(text, "the edge") for text, box in boxes if not (box.x0 >= whole.x0 and box.x1 <= whole.x1)]
+
+
+def test_names_never_lie_on_each_other_on_the_page(runs, monkeypatch):
+    """Eight runs with long names, and lines of the log that lie close together."""
+    drawn = []
+    monkeypatch.setattr(chart, "to_svg", lambda figure, name, title: drawn.append((name, figure)) or Markup(""))
+    monkeypatch.setattr(charts, "references", lambda _: NEAR)
+    records = [read_run(runs[0])] * 8
+    scores = [score(records[0], name) for name in LONG]
+    charts.returns_chart(records, scores)
+    charts.curves_chart(records, LONG)
+    long_names = dict(records[0].data) | {
+        "summary": dict(records[0].summary_of_data)
+        | {"observation_names": [f"{name} of the plant" for name in LONG[:4]]}
+    }
+    charts.dynamics_checks([dataclasses.replace(records[0], data=long_names)], LONG[:1])
+    assert [name for name, _ in drawn] == ["returns", "curves", "dynamics-0"]
+    for name, figure in drawn:
+        assert collisions(figure) == [], name
+        assert figure.axes[0].get_position().width * figure.get_size_inches()[0] > 1.5, "room for the drawing"
+
+
+def test_names_never_lie_on_each_other_in_picture_files(runs, monkeypatch, tmp_path):
+    drawn = []
+    monkeypatch.setattr(figures, "_write", lambda figure, out: drawn.append(figure) or out)
+    curves, _ = figures.run_curves([runs[0]])
+    curves = [dataclasses.replace(curves[0], label=name, index=index) for index, name in enumerate(LONG)]
+    figures.learning_curves_figure(curves, tmp_path / "a.png", NEAR, title="A long title " * 9, note="a note " * 40)
+    figures.maze_figure(runs, tmp_path / "b.png", names=LONG[:2], title="A long title " * 12)
+    figures.maze_figure(runs[:1], tmp_path / "c.png", names=LONG[:1])
+    for figure in drawn:
+        assert collisions(figure) == []
+        assert all(axes.get_window_extent().height > 100 for axes in figure.axes)
+
+
+def test_words_are_broken_where_they_end_and_left_out_in_the_middle():
+    assert lettering.fitted("one two", 1000, 8) == "one two"
+    wide = lettering.width_of("two", 8)
+    assert lettering.fitted("one two", wide + 1, 8) == "one\ntwo"
+    assert lettering.fitted("long_name", lettering.width_of("name", 8) + 4, 8) == "long_\nname"
+    short = lettering.fitted("a rather long name of a run", lettering.width_of("a rather lo", 8), 8, lines=1)
+    assert short.startswith("a r") and short.endswith("un") and "…" in short and "\n" not in short
+
+
+def test_places_are_spread_no_further_than_needed():
+    assert lettering.spread_out([30.0, 10.0], 10.0, 0.0, 100.0) == [30.0, 10.0]
+    assert lettering.spread_out([20.0, 22.0], 10.0, 0.0, 100.0) == [16.0, 26.0]  # each gives way by 4
+    assert lettering.spread_out([1.0, 2.0], 10.0, 0.0, 100.0) == [0.0, 10.0]
+    assert lettering.spread_out([98.0, 99.0], 10.0, 0.0, 100.0) == [90.0, 100.0]
+    assert lettering.spread_out([], 10.0, 0.0, 100.0) == []
 
 
 def test_settings_are_compared_name_by_name():
@@ -148,13 +281,16 @@ def test_joined_paths_never_connect_two_episodes():
     np.testing.assert_array_equal(lines[0][4:7], paths[3])
 
 
-def test_curve_band_is_the_range_over_seeds_or_the_spread_over_episodes():
+def test_curve_band_is_the_interval_over_seeds_or_the_spread_over_episodes():
     steps = np.array([1, 2, 3])
     nan = np.nan
-    mean, low, high = drawing.band(Curve("m", steps, np.array([[1.0, 2.0, nan], [3.0, nan, nan]]), None, 0))
+    curve = Curve("m", steps, np.array([[1.0, 2.0, nan], [3.0, nan, nan]]), None, 0)
+    mean, low, high = drawing.band(curve)
     np.testing.assert_array_equal(mean, [2.0, 2.0, nan])
-    np.testing.assert_array_equal(low, [1.0, 2.0, nan])
-    np.testing.assert_array_equal(high, [3.0, 2.0, nan])
+    # Two values: 12.7062 standard errors, each half of their distance.
+    np.testing.assert_allclose(low, [2.0 - 12.7062, 2.0, nan], rtol=1e-5)
+    np.testing.assert_allclose(high, [2.0 + 12.7062, 2.0, nan], rtol=1e-5)
+    np.testing.assert_array_equal(drawing.extremes(curve), [[1.0, 2.0, nan], [3.0, 2.0, nan]])
     mean, low, high = drawing.band(Curve("m", steps, np.array([[1.0, 2.0, 3.0]]), np.array([0.5, 0.5, 1.0]), 0))
     np.testing.assert_array_equal(low, [0.5, 1.5, 2.0])
     np.testing.assert_array_equal(high, [1.5, 2.5, 4.0])

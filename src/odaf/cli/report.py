@@ -24,6 +24,8 @@ class ReportOptions:
     """HTML file to write."""
     title: Annotated[str | None, tyro.conf.arg(metavar="TEXT")] = None
     """Heading of the page; without it, the names of the methods."""
+    names: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="NAME [NAME ...]")] = None
+    """What to call the runs, a name for each in their order; without it, the methods and what differs between them."""
     force: bool = False
     """Write over a file of another kind, if one is there."""
 
@@ -37,4 +39,4 @@ def run(arguments: list[str]) -> None:
 
     from odaf import report
 
-    print(f"wrote {report.build(options.directories, options.out, options.title)}")
+    print(f"wrote {report.build(options.directories, options.out, options.title, names=options.names)}")

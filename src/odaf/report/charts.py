@@ -5,11 +5,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 
 from odaf.data.spec import Spec
 from odaf.report import drawing
 from odaf.report.chart import NARROW, WIDE, Chart, chart_svg
 from odaf.report.drawing import plain_number
+from odaf.report.lettering import width_of
 from odaf.report.quantities import Curve, Returns
 from odaf.report.records import RunRecord, data_prints, optional
 from odaf.report.scores import Score, episode_returns
@@ -61,19 +63,25 @@ def curves_chart(runs: Sequence[RunRecord], labels: Sequence[str]) -> Chart | No
     curves = return_curves(runs, labels)
     if not curves:
         return None
+
+    def draw(axes: Axes) -> None:
+        drawing.draw_curves(axes, THEMED, curves, references(runs))
+        drawing.name_lines(axes, THEMED, references(runs))
+
     svg = chart_svg(
         "curves",
         "Mean return over updates",
         (WIDE, 3.1),
-        lambda axes: drawing.draw_curves(axes, THEMED, curves, references(runs)),
+        draw,
     )
     several = any(len(curve.values) > 1 for curve in curves)
-    shade = "the range over seeds (thin lines: the seeds)" if several else "one standard deviation over episodes"
+    shade = "the 95 % interval over seeds" if several else "one standard deviation over episodes, for there is one seed"
     if several and any(len(curve.values) == 1 for curve in curves):
         shade += ", or one standard deviation over episodes where there is one seed"
-    return Chart(
-        "Return over updates", svg, f"Above the upper dotted line is better than anything logged. Shaded: {shade}."
-    )
+    if several:
+        shade += ", cut off where it would squeeze the lines. Thin lines: the seeds"
+    lines = "Above the upper dotted line is better than anything logged. " if references(runs) else ""
+    return Chart("Return over updates", svg, f"{lines}Shaded: {shade}.")
 
 
 def returns_chart(runs: Sequence[RunRecord], scores: Sequence[Score]) -> Chart | None:
@@ -88,9 +96,11 @@ def returns_chart(runs: Sequence[RunRecord], scores: Sequence[Score]) -> Chart |
     logged = runs[0].logged_returns
     if logged is not None:
         rows.insert(0, Returns(f"the log ({logged.size:,} episodes)", logged, float(logged.mean()), None, None))
+    left, right, bottom, top = margins = (0.02, 0.06, 0.42, 0.04)
+    height = drawing.returns_height(rows, len(references(runs)), WIDE - left - right)
     svg = chart_svg(
-        "returns", "Returns of logged and learned episodes", (WIDE, 0.6 + 0.6 * max(len(rows), 3)),
-        lambda axes: drawing.draw_returns(axes, THEMED, rows, references(runs)), margins=(0.02, 0.06, 0.42, 0.04),
+        "returns", "Returns of logged and learned episodes", (WIDE, height + bottom + top),
+        lambda axes: drawing.draw_returns(axes, THEMED, rows, references(runs)), margins=margins,
     )  # fmt: skip
     bars = " Bar: 95 % interval over seeds." if any(row.interval is not None for row in rows) else ""
     return Chart("Where the returns lie", svg, f"Every episode at the last checkpoint. Dot: mean.{bars}")
@@ -204,7 +214,7 @@ def dynamics_checks(runs: Sequence[RunRecord], labels: Sequence[str]) -> list[Dy
                 lambda axes, names=names, model=model, nothing=nothing, index=index: drawing.draw_errors(
                     axes, THEMED, names, model, nothing, index
                 ),
-                margins=(0.15 + 0.075 * max(len(name) for name in names), 0.1, 0.25, 0.02),
+                margins=(0.15 + min(max(width_of(name, 8.0) for name in names) / 72, drawing.NAMES), 0.1, 0.25, 0.02),
             )  # fmt: skip
             chart = Chart(label, svg, "Dot: the model. Diamond: predicting no change. Left is better.", index)
         else:

@@ -13,8 +13,10 @@ from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.patches import Circle, Rectangle
 from matplotlib.ticker import FuncFormatter, MaxNLocator, NullLocator
+from scipy.special import stdtrit
 
 from odaf.report.layout import Layout
+from odaf.report.lettering import LINE, fitted, spread_out, width_of
 from odaf.report.quantities import Curve, Returns, Trajectories
 
 SUCCESS_RADIUS = 0.45
@@ -141,9 +143,11 @@ def draw_curves(
     references: Sequence[tuple[str, float]] = (),
     logarithmic: bool = False,
 ) -> None:
-    """Mean over seeds as a line; around it the range over seeds, or with one seed the spread over episodes.
+    """Mean over seeds as a line; around it the 95 % interval over seeds, or with one seed the spread over episodes.
 
-    `references` are horizontal lines, each with its name.
+    Each seed is a thin line. The axis has room for all lines, and for what is shaded as far as that does not squeeze
+    them: two seeds give a wide interval. `references` are horizontal lines, which `name_lines` names once the axes has
+    its size.
     """
     single = all(curve.steps.size == 1 for curve in curves)
     for curve in curves:
@@ -164,17 +168,14 @@ def draw_curves(
             markersize=3.5,
             label=curve.label,
         )
-    for name, value in references:
+    for _, value in references:
         axes.axhline(value, color=palette.ink, linewidth=1.0, linestyle=(0, (1, 1.6)), zorder=1)
-        # The name stands at the left, where curves that learn are still low.
-        text = axes.annotate(
-            f"{name} {plain_number(value)}", (0.01, value), xycoords=("axes fraction", "data"), xytext=(0, 2),
-            textcoords="offset points", fontsize=7.5, color=palette.ink, va="bottom",
-        )  # fmt: skip
-        text.set_parse_math(False)
+    low, high = _room(curves, [value for _, value in references], logarithmic)
     if logarithmic:
         axes.set_yscale("log")
         _plain_powers(axes.yaxis)
+    if low < high:
+        axes.set_ylim(low, high)
     if not single:
         axes.set_xlim(left=0)
     style_axes(axes, palette)
@@ -183,24 +184,92 @@ def draw_curves(
         short_values(axes)
 
 
+def name_lines(axes: Axes, palette: Palette, references: Sequence[tuple[str, float]]) -> None:
+    """Names the horizontal lines of `draw_curves`, each just above its line where no other name stands.
+
+    Called when the axes has the size and the limits that it will have. Names stand at the left, where curves that learn
+    are still low.
+    """
+    points = axes.get_window_extent().height * 72.0 / axes.get_figure(root=True).dpi  # type: ignore[union-attr]
+    low, high = axes.get_ylim()
+    size = 7.5
+    heights = [points * (value - low) / (high - low) + 1.5 for _, value in references]
+    for (name, value), place in zip(references, spread_out(heights, LINE * size, 0.0, points), strict=True):
+        text = axes.annotate(
+            f"{name} {plain_number(value)}", (0.01, 0.0), xycoords="axes fraction", xytext=(0, place),
+            textcoords="offset points", fontsize=size, color=palette.ink, va="bottom",
+        )  # fmt: skip
+        text.set_parse_math(False)
+
+
+def _room(curves: Sequence[Curve], references: Sequence[float], logarithmic: bool) -> tuple[float, float]:
+    """Limits of the vertical axis: all lines, and the shaded bands as far as half the height of the lines."""
+    lines = np.concatenate([*(curve.values.ravel() for curve in curves), np.asarray(references, np.float64)])
+    lines = lines[np.isfinite(lines)]
+    if not lines.size:
+        return 0.0, 0.0
+    low, high = float(lines.min()), float(lines.max())
+    if logarithmic:
+        return 0.8 * low, 1.25 * high
+    bands = [band(curve)[1:] for curve in curves]
+    size = high - low
+    lowest = max(min([low, *(float(np.nanmin(edge, initial=low)) for edge, _ in bands)]), low - 0.5 * size)
+    highest = min(max([high, *(float(np.nanmax(edge, initial=high)) for _, edge in bands)]), high + 0.5 * size)
+    size = (highest - lowest) or 1e-3 * max(abs(high), 1.0)
+    return lowest - 0.05 * size, highest + 0.07 * size
+
+
 def band(curve: Curve) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """[points] mean over seeds, and the lower and upper edge of what is drawn around it."""
+    """[points] mean over seeds, and the lower and upper edge of what is drawn around it.
+
+    With several seeds that is Student's 95 % interval of the mean at each point, without width where only one seed has
+    a value; with one seed, the mean less and plus the spread over episodes.
+    """
     known = np.isfinite(curve.values)
     count = known.sum(axis=0)
     total = np.where(known, curve.values, 0.0).sum(axis=0)
     mean = np.where(count > 0, total / np.maximum(count, 1), np.nan)
     if len(curve.values) > 1:
-        low = np.where(known, curve.values, np.inf).min(axis=0)
-        high = np.where(known, curve.values, -np.inf).max(axis=0)
-        return mean, np.where(count > 0, low, np.nan), np.where(count > 0, high, np.nan)
+        squares = np.where(known, (curve.values - mean) ** 2, 0.0).sum(axis=0)
+        error = np.sqrt(squares / np.maximum(count - 1, 1) / np.maximum(count, 1))
+        half = np.where(count > 1, stdtrit(np.maximum(count - 1, 1), 0.975) * error, 0.0)
+        return mean, mean - half, mean + half
     spread = np.zeros_like(mean) if curve.spread is None else curve.spread
     return mean, mean - spread, mean + spread
+
+
+def extremes(curve: Curve) -> tuple[np.ndarray, np.ndarray]:
+    """[points] the least and the greatest value over seeds, NaN where no seed has one."""
+    known = np.isfinite(curve.values)
+    low = np.where(known, curve.values, np.inf).min(axis=0)
+    high = np.where(known, curve.values, -np.inf).max(axis=0)
+    return np.where(known.any(axis=0), low, np.nan), np.where(known.any(axis=0), high, np.nan)
+
+
+_LABEL, _HISTOGRAM, _TICKS = 8.0, 0.35, 0.15  # size of a row's name in points; heights in inches
+
+
+def returns_height(rows: Sequence[Returns], references: int, width: float) -> float:
+    """Inches that `draw_returns` needs for its axes, `width` inches wide, with so many references."""
+    return _row_height(rows, width) * (max(len(rows), 2) + 0.3) + _TICKS * max(references, 1)
+
+
+def _row_height(rows: Sequence[Returns], width: float) -> float:
+    lines = max(_name_of_row(row, width).count("\n") + 1 for row in rows)
+    return _HISTOGRAM + 0.15 + LINE * _LABEL / 72.0 * lines
+
+
+def _name_of_row(row: Returns, width: float) -> str:
+    return fitted(row.label, 72.0 * width - 4.0, _LABEL, bold=True)
 
 
 def draw_returns(
     axes: Axes, palette: Palette, rows: Sequence[Returns], references: Sequence[tuple[str, float]]
 ) -> None:
     """One histogram a row on a common axis, with the mean as a dot and its interval over seeds as a bar."""
+    width = axes.get_window_extent().width / axes.get_figure(root=True).dpi  # type: ignore[union-attr]
+    inches = _row_height(rows, width)
+    tall = _HISTOGRAM / inches
     known = [row.returns for row in rows if row.returns.size]
     everything = np.concatenate(known) if known else np.zeros(1)
     low, high = float(everything.min()), float(everything.max())
@@ -211,7 +280,7 @@ def draw_returns(
         if row.returns.size:
             heights, _ = np.histogram(row.returns, edges)
             axes.bar(
-                edges[:-1], 0.58 * heights / max(heights.max(), 1), np.diff(edges), bottom=base, align="edge",
+                edges[:-1], tall * heights / max(heights.max(), 1), np.diff(edges), bottom=base, align="edge",
                 color=colour, alpha=0.55 if row.index is None else 0.75, linewidth=0,
             )  # fmt: skip
         axes.axhline(base, color=palette.grid, linewidth=0.8, zorder=0)
@@ -220,8 +289,9 @@ def draw_returns(
         if row.mean is not None:
             axes.plot([row.mean], [base - 0.08], "o", markersize=5, color=colour, markeredgecolor=palette.ink)
         label = axes.annotate(
-            row.label, (0.0, base + 0.63), xycoords=("axes fraction", "data"), xytext=(2, 0),
-            textcoords="offset points", fontsize=8, color=palette.ink, fontweight="bold",
+            _name_of_row(row, width), (0.0, base + tall), xycoords=("axes fraction", "data"), xytext=(2, 2),
+            textcoords="offset points", fontsize=_LABEL, color=palette.ink, fontweight="bold", va="bottom",
+            linespacing=1.1, bbox={"facecolor": palette.surface, "edgecolor": "none", "pad": 0.5},
         )  # fmt: skip
         label.set_parse_math(False)
     wanted = [row.interval for row in rows if row.interval is not None] + [(value, value) for _, value in references]
@@ -231,12 +301,15 @@ def draw_returns(
     # Each name on a line of its own, because best and mean may lie close together.
     for place, (name, value) in enumerate(visible):
         axes.axvline(value, color=palette.ink, linewidth=1.0, linestyle=(0, (1, 1.6)), zorder=1)
+        said = f"{name} {plain_number(value)}"
+        leftwards = (value - left) / (right - left) + width_of(said, 7.5) / (72.0 * width) > 0.97
         text = axes.annotate(
-            f"{name} {plain_number(value)}", (value, 1.0), xycoords=("data", "axes fraction"), xytext=(3, -9 * place),
-            textcoords="offset points", fontsize=7.5, color=palette.ink, va="top",
+            said, (value, 1.0), xycoords=("data", "axes fraction"), va="top", ha="right" if leftwards else "left",
+            xytext=(-3 if leftwards else 3, -72 * _TICKS * place), textcoords="offset points", fontsize=7.5,
+            color=palette.ink,
         )  # fmt: skip
         text.set_parse_math(False)
-    axes.set_ylim(-0.3, len(rows) + 0.25 * max(len(visible), 1))
+    axes.set_ylim(-0.3, max(len(rows), 2) + _TICKS / inches * max(len(visible), 1))
     axes.set_yticks([])
     style_axes(axes, palette, lines="x")
     axes.set_xlabel("undiscounted return of an episode", color=palette.muted, fontsize=8)
@@ -264,7 +337,7 @@ def draw_critic(
     middle, _, _ = band(mean)
     shown = [middle]
     if lowest is not None and highest is not None and np.array_equal(lowest.steps, highest.steps):
-        low, high = band(lowest)[1], band(highest)[2]
+        low, high = extremes(lowest)[0], extremes(highest)[1]
         axes.fill_between(lowest.steps, low, high, color=colour, alpha=0.22, linewidth=0, zorder=2)
         shown += [low, high]
     axes.plot(mean.steps, middle, color=colour, linewidth=1.9, zorder=3)
@@ -291,6 +364,10 @@ def draw_critic(
     short_values(axes)
 
 
+NAMES = 1.3
+"""Inches that the names of dimensions may take beside `draw_errors`."""
+
+
 def draw_errors(
     axes: Axes, palette: Palette, names: Sequence[str], model: np.ndarray, baseline: np.ndarray, index: int
 ) -> None:
@@ -303,7 +380,7 @@ def draw_errors(
     if (np.concatenate([model, baseline]) > 0).all():
         axes.set_xscale("log")
         _plain_powers(axes.xaxis)
-    axes.set_yticks(places, names)
+    axes.set_yticks(places, [fitted(name, 72.0 * NAMES, 8.0, lines=1) for name in names])
     for tick in axes.get_yticklabels():
         tick.set_parse_math(False)
     axes.set_ylim(-0.6, len(names) - 0.4)

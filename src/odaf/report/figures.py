@@ -10,9 +10,10 @@ import numpy as np
 from odaf.data.writing import write_atomically
 from odaf.errors import ConfigError
 from odaf.report.extras import check_extra
+from odaf.report.names import names_of
 from odaf.report.quantities import Curve
 from odaf.report.records import RunRecord, find_runs, read_run
-from odaf.report.scores import labels, score
+from odaf.report.scores import score
 from odaf.runs.evaluate_attacks import AttackCurve
 
 RESOLUTION = 180  # dots per inch
@@ -40,13 +41,20 @@ def maze_figure(
 
     from odaf.report import drawing, paths
     from odaf.report.layout import maze_layout
+    from odaf.report.lettering import fitted
 
     runs = [read_run(directory) for directory in find_runs(run_directories)]
-    headings = list(names) if names is not None else labels(runs)
+    headings = list(names) if names is not None else names_of(runs)
     if len(headings) != len(runs):
         raise ConfigError(f"maze_figure: {len(headings)} names for {len(runs)} runs; give one name a run")
-    figure = Figure(figsize=(3.6 * len(runs), 2.75 + (0.3 if title else 0)), layout="constrained", facecolor="white")
-    figure.supxlabel(_maze_legend(runs), fontsize=8, color=drawing.LIGHT.muted, parse_math=False)
+    width = 3.6 * len(runs)
+    headings = [fitted(heading, 72 * 3.4, 11, bold=True) for heading in headings]
+    legend = fitted(_maze_legend(runs), 72 * (width - 0.2), 8)
+    title = title and fitted(title, 72 * (width - 0.2), 12)
+    more = 0.24 * max(heading.count("\n") for heading in headings) + 0.14 * legend.count("\n")
+    more += 0.0 if not title else 0.3 + 0.21 * title.count("\n")
+    figure = Figure(figsize=(width, 2.75 + more), layout="constrained", facecolor="white")
+    figure.supxlabel(legend, fontsize=8, color=drawing.LIGHT.muted, parse_math=False)
     for place, (run, heading) in enumerate(zip(runs, headings, strict=True)):
         layout, learned = maze_layout(run.environment), paths.learned_paths(run)
         if layout is None or learned is None:
@@ -56,6 +64,7 @@ def maze_figure(
         drawing.draw_maze(
             axes, drawing.LIGHT, layout, paths.thinned(learned), paths.logged_paths(run), paths.best_path(run)
         )
+        axes.set_anchor("S")  # what is left over of the height is above, where headings are
         entry = score(run, heading)
         under = f"mean return {drawing.plain_number(entry.mean)}" if entry.mean is not None else ""
         if entry.stitched_rate is not None:
@@ -76,7 +85,7 @@ def learning_curves_figure(
     title: str | None = None,
     note: str | None = None,
 ) -> Path:
-    """Writes a PNG of mean return over updates, a line a method with the range over its seeds.
+    """Writes a PNG of mean return over updates, a line a method with the 95 % interval over its seeds.
 
     Args:
         curves: as `run_curves` gives them, or made from other records of scores.
@@ -92,28 +101,47 @@ def learning_curves_figure(
         ConfigError: there are no curves, or the `report` extra is not installed.
     """
     check_extra()
-    from matplotlib.figure import Figure
-
-    from odaf.report import drawing
-
     if not curves:
         raise ConfigError(
             "learning_curves_figure: no curves; train with an evaluation, so that there is a return to draw"
         )
-    figure = Figure(figsize=(6.4, 4.0), layout="constrained", facecolor="white")
+    figure = _curves(curves, references, title, note)
+    return _write(figure, out)
+
+
+def _curves(
+    curves: Sequence[Curve], references: Sequence[tuple[str, float]], title: str | None, note: str | None
+) -> Any:
+    """The figure of `learning_curves_figure`: as many names side by side as fit, and taller where they are many."""
+    from matplotlib.figure import Figure
+
+    from odaf.report import drawing
+    from odaf.report.lettering import fitted, width_of
+
+    room, handle = 72 * 6.2, 50.0  # points across, and those of a line of the legend before its name
+    names = [fitted(curve.label, room - handle, 8.5) for curve in curves]
+    longest = max(width_of(line, 8.5) for name in names for line in name.split("\n"))
+    columns = max(min(len(curves), 3, int(room // (longest + handle))), 1)
+    lines = max(name.count("\n") + 1 for name in names) * -(-len(curves) // columns)
+    figure = Figure(figsize=(6.4, 4.0 + 0.18 * (lines - 1)), layout="constrained", facecolor="white")
     axes = figure.add_subplot()
     drawing.draw_curves(axes, drawing.LIGHT, curves, references)
     axes.set_ylabel("mean return", fontsize=8)
+    handles, _ = axes.get_legend_handles_labels()
     legend = figure.legend(
-        loc="outside upper left", ncols=min(len(curves), 3), frameon=False, fontsize=8.5, handlelength=3
+        handles, names, loc="outside upper left", ncols=columns, frameon=False, fontsize=8.5, handlelength=3
     )
     for text in legend.get_texts():
         text.set_parse_math(False)
     if title:
-        axes.set_title(title, fontsize=12, parse_math=False)  # below the legend; a figure's own title would lie on it
+        # Below the legend; a figure's own title would lie on it.
+        axes.set_title(fitted(title, 72 * 5.4, 12), fontsize=12, parse_math=False)
     if note:
-        figure.supxlabel(note, fontsize=7.5, color=drawing.LIGHT.muted, parse_math=False)
-    return _write(figure, out)
+        figure.supxlabel(fitted(note, room, 7.5), fontsize=7.5, color=drawing.LIGHT.muted, parse_math=False)
+    figure.draw_without_rendering()  # the axes gets its size, by which its lines are named
+    figure.set_layout_engine("none")
+    drawing.name_lines(axes, drawing.LIGHT, references)
+    return figure
 
 
 def check_attack_figure(out: Path) -> None:
@@ -128,7 +156,7 @@ def check_attack_figure(out: Path) -> None:
 
 
 def attack_figure(curve: AttackCurve, out: Path, name: str) -> Path:
-    """Writes an SVG or PNG of return against budget: the mean over seeds, their range, and each of them.
+    """Writes an SVG or PNG of return against budget: the mean over seeds, its 95 % interval, and each of them.
 
     Args:
         curve: what was measured; drawn as normalised scores where the environment has reference returns.
@@ -147,6 +175,7 @@ def attack_figure(curve: AttackCurve, out: Path, name: str) -> Path:
 
     from odaf.environments.reference_returns import reference_of
     from odaf.report import drawing
+    from odaf.report.lettering import fitted
 
     reference = None if curve.environment is None else reference_of(curve.environment)
     values = np.array([[score.mean_return for score in scores.by_seed] for scores in curve.scores]).T
@@ -158,7 +187,7 @@ def attack_figure(curve: AttackCurve, out: Path, name: str) -> Path:
     axes.xaxis.set_major_locator(MaxNLocator(nbins=7))
     axes.set_xlabel("largest offset of an observation, in standard deviations of the log", fontsize=8)
     axes.set_ylabel("mean return" if reference is None else f"normalised score, {curve.environment}", fontsize=8)
-    axes.set_title(f"{name} under {curve.attack}", fontsize=12, parse_math=False)
+    axes.set_title(fitted(f"{name} under {curve.attack}", 72 * 5.4, 12), fontsize=12, parse_math=False)
     return _write(figure, out)
 
 
@@ -168,7 +197,7 @@ def run_curves(run_directories: Sequence[Path]) -> tuple[list[Curve], list[tuple
     from odaf.report import charts
 
     runs = [read_run(directory) for directory in find_runs(run_directories)]
-    return charts.return_curves(runs, labels(runs)), charts.references(runs)
+    return charts.return_curves(runs, names_of(runs)), charts.references(runs)
 
 
 def _maze_legend(runs: Sequence[RunRecord]) -> str:

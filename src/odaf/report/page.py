@@ -11,35 +11,41 @@ import odaf
 from odaf.data.writing import write_atomically
 from odaf.errors import ConfigError
 from odaf.report import charts, paths
+from odaf.report.columns import count, figure, log_rows, note_of, score_columns, seed_columns, share, statistic
 from odaf.report.configuration import ABSENT, differences
-from odaf.report.drawing import DARK, LIGHT, plain_number
+from odaf.report.drawing import DARK, LIGHT
 from odaf.report.layout import maze_layout
-from odaf.report.records import RunRecord, data_prints, find_runs, optional, read_run
-from odaf.report.scores import Score, headline_index, labels, normalised, score
+from odaf.report.names import listed, names_of
+from odaf.report.records import LOCAL, RunRecord, data_prints, environments, find_runs, optional, read_run
+from odaf.report.scores import Score, headline_index, score
 from odaf.report.svg import variables
 
 _NOT_SETTINGS = ("format", "version")
 
 
-def build(run_directories: Sequence[Path], out: Path, title: str | None = None) -> Path:
+def build(
+    run_directories: Sequence[Path], out: Path, title: str | None = None, names: Sequence[str] | None = None
+) -> Path:
     """See `odaf.report.build`."""
     out = Path(out)
     if out.is_dir():
         raise ConfigError(f"{out}: is a folder; name the HTML file to write, for example {out / 'report.html'}")
     runs = [read_run(directory) for directory in find_runs(run_directories)]
-    page = render(runs, title)
+    page = render(runs, title, names)
     out.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(out, lambda file: file.write(page.encode("utf-8")))
     return out
 
 
-def render(runs: Sequence[RunRecord], title: str | None = None) -> str:
+def render(runs: Sequence[RunRecord], title: str | None = None, names: Sequence[str] | None = None) -> str:
     """The whole page as text. Everything that comes from files is escaped by the template."""
-    names = labels(runs)
+    names = names_of(runs, names)
     named = list(zip(names, runs, strict=True))
     scores = [score(run, name) for name, run in named]
-    main = headline_index(runs)
-    origins = [run.origin for run in runs]
+    main = headline_index(scores)
+    places = decimals([value for entry in scores for value in (entry.mean, *entry.seed_means)])
+    columns = score_columns(scores, places)
+    of_which_log = f"the log of {names[main]}" if len(set(data_prints(runs)) - {None}) > 1 else "the log"
     settings = [{key: value for key, value in run.config.items() if key not in _NOT_SETTINGS} for run in runs]
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("odaf.report", "templates"),
@@ -48,7 +54,7 @@ def render(runs: Sequence[RunRecord], title: str | None = None) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters |= {"figure": figure, "count": count, "share": share, "duration": duration}
+    environment.filters |= {"figure": figure, "count": count, "share": share}
     return environment.get_template("page.html").render(
         title=title or default_title(names),
         light=variables(LIGHT),
@@ -59,27 +65,21 @@ def render(runs: Sequence[RunRecord], title: str | None = None) -> str:
         scores=scores,
         main=main,
         any_normalised=any(entry.normalised for entry in scores),
-        log_normalised=[
-            normalised(runs[main].data_environment_id, value) for value in (runs[main].data_best, runs[main].data_mean)
-        ],
-        seeds_normalised=[
-            [
-                normalised(run.evaluation_environment_id, None if seed.evaluation is None else seed.evaluation.mean)
-                for seed in run.seeds
-            ]
-            for run in runs
-        ],
-        origins=origins,
-        verdict=verdict(runs[main], scores[main]),
+        columns=columns,
+        notes=[note_of(entry) for entry in scores],
+        log_rows=log_rows(runs[main], of_which_log, columns, places),
+        seed_rows=[name for name, run in named for _ in run.seeds],
+        seed_columns=seed_columns(runs, places),
+        statistic=statistic(scores),
+        badge=badge(runs, names),
+        verdict=verdict(runs, scores, main, places),
         facts=data_facts(runs[main]),
         gaps=gaps(runs, names),
         mazes=paths.maze_charts(runs, names),
-        no_maze=why_no_maze(runs),
         curves=charts.curves_chart(runs, names),
         returns=charts.returns_chart(runs, scores),
-        decimals=decimals([value for entry in scores for value in (entry.mean, *entry.seed_means)]),
+        decimals=places,
         critics=charts.critic_charts(runs, names),
-        no_critic=[name for name, run in named if charts.quantity(run, name, 0, "critic/mean") is None],
         uncertainty=charts.metric_chart(
             runs, names, "outcome/uncertainty", "Outcome uncertainty",
             "Disagreement of the critics at the predicted outcomes. It grows with values; compare runs at one step.",
@@ -94,9 +94,18 @@ def render(runs: Sequence[RunRecord], title: str | None = None) -> str:
         configurations=[json.dumps(run.config, indent=2, ensure_ascii=False) for run in runs],
         machines=[machine_facts(run) for run in runs],
         files=[(name, *(str(run.data.get(field, ABSENT)) for field in ("path", "sha256"))) for name, run in named],
-        provenance=json.dumps(runs[main].provenance, indent=2, ensure_ascii=False),
+        provenance=json.dumps(runs[main].provenance, indent=2, ensure_ascii=False) if runs[main].provenance else "",
         commands=[(name, command(run)) for name, run in named],
     )  # fmt: skip
+
+
+def badge(runs: Sequence[RunRecord], names: Sequence[str]) -> str:
+    """Where the data of all scores on the page came from, in one label; empty where nothing is to be said.
+
+    Where only some runs learned from data of our generators, the label names them.
+    """
+    local = [name for name, run in zip(names, runs, strict=True) if run.origin]
+    return "" if not local else LOCAL if len(local) == len(runs) else f"{LOCAL}: {listed(local)}"
 
 
 def default_title(names: Sequence[str]) -> str:
@@ -105,27 +114,77 @@ def default_title(names: Sequence[str]) -> str:
         return f"{names[0]}: what it learned"
     if len(names) > 4:
         return f"{len(names)} methods compared"
-    return f"{', '.join(names[:-1])} and {names[-1]} compared"
+    return f"{listed(names)} compared" if "," in "".join(names) else f"{', '.join(names[:-1])} and {names[-1]} compared"
 
 
-def verdict(run: RunRecord, entry: Score) -> str:
-    """The comparison of the main score with the log, in one sentence."""
+def verdict(runs: Sequence[RunRecord], scores: Sequence[Score], main: int, places: int) -> str:
+    """What the table says of the run with the highest mean, in a few sentences.
+
+    Numbers are compared as the table prints them, with `places` digits after the point, so that the sentences never say
+    more than a reader can see.
+    """
+    entry, run = scores[main], runs[main]
     if entry.mean is None:
-        return f"{entry.label} has not been evaluated, so there is no score to compare with the log."
-    best, mean = run.data_best, run.data_mean
-    if best is None or mean is None:
-        return f"{entry.label} earns {plain_number(entry.mean)} on average; the run does not tell what the log earned."
-    times = f"{entry.mean / best:.2f} times the best logged return" if best > 0 and entry.mean > best else ""
-    if entry.mean > best:
-        text = f"On average {entry.label} earns more than the best logged episode" + (f", {times}." if times else ".")
-        if entry.evaluated > 1:
-            above = sum(value > best for value in entry.seed_means)
-            text += " Every seed is" if above == entry.evaluated else f" {above} of {entry.evaluated} seeds are"
-            text += " above it."
-        return text
-    if entry.mean > mean:
-        return f"On average {entry.label} earns more than the log's mean, and less than the best logged episode."
-    return f"On average {entry.label} earns less than the log's mean."
+        what = f"{entry.label} has" if len(runs) == 1 else "No run has"
+        return f"{what} not been evaluated, so there is no score to compare with the log."
+
+    def shown(value: float) -> str:
+        return figure(value, places)
+
+    others = [other for index, other in enumerate(scores) if index != main and other.mean is not None]
+    equal = [other.label for other in others if shown(other.mean or 0.0) == shown(entry.mean)]
+    sure = f"95 % interval {shown(entry.interval[0])} to {shown(entry.interval[1])}" if entry.interval else "one seed"
+    if not others:
+        told = [f"{entry.label} has a mean return of {shown(entry.mean)} ({sure})."]
+    elif equal:
+        told = [f"{listed([entry.label, *equal])} have the highest mean return, {shown(entry.mean)} each."]
+    else:
+        told = [f"{entry.label} has the highest mean return, {shown(entry.mean)} ({sure})."]
+    told += [*_against_the_log(run, entry, places), *_against_the_others(runs, entry, others, places)]
+    return " ".join(told)
+
+
+def _against_the_log(run: RunRecord, entry: Score, places: int) -> list[str]:
+    if run.data_best is None or run.data_mean is None or entry.mean is None:
+        return ["The run does not tell what the log earned."]
+    best, logged, mean = (float(f"{value:.{places}f}") for value in (run.data_best, run.data_mean, entry.mean))
+    names = f"the best logged episode ({figure(best, places)})", f"the log's mean ({figure(logged, places)})"
+    if mean > best:
+        place = f"above {names[0]}"
+    elif mean == best:
+        place = f"at {names[0]}"
+    elif mean > logged:
+        place = f"above {names[1]} and below {names[0]}"
+    elif mean == logged:
+        place = f"at {names[1]}"
+    else:
+        place = f"below {names[1]}"
+    told = f"That is {place}"
+    if entry.interval is not None:
+        low, high = (float(f"{value:.{places}f}") for value in entry.interval)
+        inside = [name for value, name in zip((best, logged), names, strict=True) if low <= value <= high]
+        if inside:
+            told += f"; {' and '.join(inside)} {'lie' if len(inside) > 1 else 'lies'} within the interval"
+    return [f"{told}."]
+
+
+def _against_the_others(runs: Sequence[RunRecord], entry: Score, others: Sequence[Score], places: int) -> list[str]:
+    if not others:
+        return []
+    if len(environments(runs)) > 1:
+        return ["The runs were played in different environments, so their returns do not rank them."]
+    if entry.interval is None:
+        return [f"{entry.label} has one seed, so that does not decide which method is better."]
+    low = float(f"{entry.interval[0]:.{places}f}")
+    alone = [other.label for other in others if other.interval is None]
+    near = [other.label for other in others if other.interval and float(f"{other.interval[1]:.{places}f}") >= low]
+    told = []
+    if near:
+        told.append(f"Its interval overlaps with that of {listed(near)}: that does not decide between them.")
+    if alone:
+        verb = "has" if len(alone) == 1 else "have"
+        told.append(f"{listed(alone)} {verb} one seed, so nothing is decided there.")
+    return told or ["Its interval lies above those of all others."]
 
 
 def data_facts(run: RunRecord) -> list[str]:
@@ -149,9 +208,13 @@ def gaps(runs: Sequence[RunRecord], names: Sequence[str]) -> list[str]:
     found = []
     if len(set(data_prints(runs)) - {None}) > 1:
         found.append("The runs were trained on different data, so their scores do not compare like with like.")
+    if len(environments(runs)) > 1:
+        found.append(f"The runs were played in different environments: {', '.join(environments(runs))}.")
     for name, run in zip(names, runs, strict=True):
         if not run.data:
             found.append(f"{name}: data.json is missing, so neither the log's returns nor its origin are known.")
+        if not run.machine:
+            found.append(f"{name}: environment.json is missing, so versions and machine are not known.")
         if not run.seeds:
             found.append(f"{name}: no seed has started; the directory holds no seed folder.")
         planned = run.config.get("seeds")
@@ -162,7 +225,12 @@ def gaps(runs: Sequence[RunRecord], names: Sequence[str]) -> list[str]:
                 target = run.config.get("steps")
                 of = f" of {target:,}" if isinstance(target, int) else ""
                 found.append(f"{name}, seed {seed.seed}: {seed.status}, {seed.step:,}{of} updates so far.")
-            if seed.evaluation is None:
+            if seed.broken:
+                found.append(
+                    f"{name}, seed {seed.seed}: every episode of its last evaluation broke off on a number that is not "
+                    "finite, so it has no score."
+                )
+            elif seed.evaluation is None:
                 found.append(f"{name}, seed {seed.seed}: no evaluation, so it has no score.")
             elif seed.evaluation.step < seed.step:
                 measured = f"evaluated last after {seed.evaluation.step:,}"
@@ -170,16 +238,6 @@ def gaps(runs: Sequence[RunRecord], names: Sequence[str]) -> list[str]:
         if run.evaluated and all(seed.episodes is None for seed in run.seeds) and maze_layout(run.environment):
             found.append(f"{name}: no evaluation episodes were kept, so its paths cannot be drawn.")
     return found
-
-
-def why_no_maze(runs: Sequence[RunRecord]) -> str:
-    """Why there is no picture of paths; the reason of the first run that has one."""
-    environments = [run.environment for run in runs]
-    if all(environment is None for environment in environments):
-        return "The data name no environment, so there is no map to draw paths on."
-    if not any(maze_layout(environment) for environment in environments):
-        return "The environment is not a maze, so there is no map to draw paths on."
-    return "No evaluation kept its episodes, so there are no paths to draw."
 
 
 def machine_facts(run: RunRecord) -> list[tuple[str, str]]:
@@ -214,30 +272,3 @@ def decimals(values: Sequence[float | None]) -> int:
     """Digits after the point that show about four digits of the largest value, the same for a whole column."""
     largest = max((abs(value) for value in values if value is not None), default=0.0)
     return 0 if largest >= 10_000 else 1 if largest >= 10 else 2 if largest >= 1 else 3
-
-
-def figure(value: int | float | None, places: int | None = None) -> str:
-    """A number for a table; a dash for none."""
-    if value is None:
-        return ABSENT
-    return plain_number(value) if places is None else f"{value:,.{places}f}"
-
-
-def count(value: int | float | None) -> str:
-    """A whole number with separators; a dash for none."""
-    return ABSENT if value is None else f"{round(value):,}"
-
-
-def share(value: int | float | None) -> str:
-    """A rate in percent; a dash for none."""
-    return ABSENT if value is None else f"{100 * value:.0f} %"
-
-
-def duration(seconds: int | float | None) -> str:
-    """Seconds as a person says them."""
-    if seconds is None:
-        return ABSENT
-    if seconds < 120:
-        return f"{seconds:.0f} s"
-    minutes = round(seconds / 60)
-    return f"{minutes} min" if minutes < 120 else f"{minutes // 60} h {minutes % 60:02d} min"

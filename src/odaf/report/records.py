@@ -80,6 +80,13 @@ class SeedRecord:
         evaluations = [evaluation for evaluation in found if evaluation is not None]
         return max(evaluations, key=lambda evaluation: evaluation.step) if evaluations else None
 
+    @property
+    def broken(self) -> bool:
+        """Whether the last evaluation has no mean because each of its episodes broke off on a number that is not
+        finite."""
+        entry = self.summary.get("evaluation")
+        return self.evaluation is None and isinstance(entry, Mapping) and entry.get("mean_return", 0) is None
+
     @cached_property
     def episodes(self) -> tuple[int, Mapping[str, np.ndarray]] | None:
         """Step and arrays of the latest recorded evaluation: observations [episodes, time, obs_dim], returns, flags."""
@@ -205,9 +212,14 @@ class RunRecord:
     @property
     def evaluation_environment_id(self) -> str | None:
         """Gymnasium's name of where the run was evaluated, version included; `None` where it has none."""
+        return _identity(self.evaluation_environment)
+
+    @property
+    def evaluation_environment(self) -> Mapping[str, Any] | None:
+        """What the run was evaluated in, as its configuration or else its data describe it."""
         settings = self.config.get("evaluate")
         own = settings.get("environment") if isinstance(settings, Mapping) else None
-        return self.data_environment_id if own is None else _identity(own)
+        return own if isinstance(own, Mapping) else self.environment if own is None else None
 
     @property
     def logged_returns(self) -> np.ndarray | None:
@@ -241,6 +253,14 @@ def data_prints(runs: Sequence[RunRecord]) -> list[str | None]:
     """What tells the runs' data apart: prints of rows, or of whole files where a run has only that; None if unknown."""
     rows = all("rows_sha256" in run.data for run in runs if run.data)
     return [run.data.get("rows_sha256" if rows else "sha256") for run in runs]
+
+
+def environments(runs: Sequence[RunRecord]) -> list[str]:
+    """Names of the different environments in which the runs were played, without those that are not known."""
+    known = [run.evaluation_environment for run in runs if run.evaluation_environment is not None]
+    # Two mazes of one name may differ, so what is compared is the whole description.
+    different = {json.dumps(environment, sort_keys=True, default=str): environment for environment in known}
+    return [environment_name(environment) for environment in different.values()]
 
 
 def find_runs(paths: Sequence[Path]) -> list[Path]:
@@ -307,6 +327,13 @@ def optional(value: Any) -> float | None:
     """A finite float, or `None`."""
     result = number(value)
     return result if math.isfinite(result) else None
+
+
+def environment_name(environment: Mapping[str, Any]) -> str:
+    """What an environment is called: Gymnasium's name, or its maze's, or its kind's."""
+    maze = environment.get("maze")
+    name = maze.get("name") if isinstance(maze, Mapping) else environment.get("name")
+    return str(environment.get("id") or name or "one without a name")
 
 
 def _identity(environment: Any) -> str | None:

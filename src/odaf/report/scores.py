@@ -1,7 +1,6 @@
 """The numbers of the report: one row per run, computed from the evaluation at the last checkpoint."""
 
 import math
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -60,23 +59,9 @@ class Score:
     status: str
 
 
-def labels(runs: Sequence[RunRecord]) -> list[str]:
-    """A name for each run: its method, with the directory's name added where two runs share a method."""
-    counts = Counter(run.method for run in runs)
-    names = [run.method if counts[run.method] == 1 else f"{run.method} ({run.directory.name})" for run in runs]
-    repeated = {name for name, count in Counter(names).items() if count > 1}
-    return [
-        f"{run.method} ({run.directory})" if name in repeated else name for run, name in zip(runs, names, strict=True)
-    ]
-
-
-def headline_index(runs: Sequence[RunRecord]) -> int:
-    """Which run the page speaks of first: one called `odaf`, else one whose name begins so, else the first."""
-    for claim in (lambda name: name == "odaf", lambda name: name.startswith("odaf")):
-        for index, run in enumerate(runs):
-            if claim(run.method.lower()):
-                return index
-    return 0
+def headline_index(scores: Sequence[Score]) -> int:
+    """Which run the page speaks of first: the one of the highest mean return; the first where none has any."""
+    return max(range(len(scores)), key=lambda index: -math.inf if (mean := scores[index].mean) is None else mean)
 
 
 def score(run: RunRecord, label: str) -> Score:
