@@ -9,7 +9,9 @@ STAMP := $(VENV)/.installed
 WORKERS ?= 2
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: help demo test test-all lint format refusals bench docs clean
+WHEEL := dist/.tried
+
+.PHONY: help demo test test-all lint wheel checks format refusals bench docs clean
 .DEFAULT_GOAL := help
 
 help: ## Say what each target does
@@ -33,10 +35,20 @@ lint: $(STAMP) ## Check style and types, change nothing
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
 
-test: lint ## Check style, types, import direction and behaviour
+wheel: $(WHEEL) ## Build the wheel into dist/, install it into an empty environment and train from there
+
+$(WHEEL): $(STAMP) tools/wheel.py README.md LICENSE $(shell find src/odaf -type f -not -name '*.pyc')
+	$(BIN)/python -m tools.wheel dist
+	@touch $@
+
+# Side by side: none of them needs both cores.
+checks: $(STAMP)
+	@$(MAKE) --no-print-directory -j2 wheel lint docs
+
+test: checks ## Check style, types, wheel, documentation, import direction and behaviour
 	$(BIN)/pytest -n $(WORKERS) -m "not slow"
 
-test-all: lint ## The same, with the slow tests
+test-all: checks ## The same, with the slow tests
 	$(BIN)/pytest -n $(WORKERS)
 
 format: $(STAMP) ## Rewrite files in the house style
