@@ -13,6 +13,7 @@ from odaf.behaviour.exact_replay import exact_replay
 from odaf.behaviour.export import _nearest, export
 from odaf.behaviour.online import OnlineRun, Played, load_policy, play, train
 from odaf.behaviour.replay import Replay, unpack
+from odaf.environments.contact_margins import installed_rule, installed_version, recorded
 from odaf.environments.locomotion import TASKS, Simulator
 from odaf.environments.locomotion_acceptance import PUBLISHED
 from odaf.environments.reference_returns import REFERENCES
@@ -116,8 +117,41 @@ def test_a_run_can_be_made_longer_and_not_shorter(finished, tmp_path):
 
 
 def test_a_directory_belongs_to_one_run(finished):
-    with pytest.raises(ConfigError, match="other settings"):
+    with pytest.raises(ConfigError, match=r"other settings \(seed 0\); name another"):
         train(dataclasses.replace(TINY, seed=5), finished)
+
+
+def test_a_run_counts_contact_margins_by_its_rule_and_says_so(finished, tmp_path, monkeypatch):
+    """In its steps, its evaluations, its settings, the policies' page and the set that is its replay."""
+    old = "added" if installed_rule() == "larger" else "larger"
+    run = dataclasses.replace(TINY, steps=80, contact_margins=old)
+    train(run, tmp_path / "run")
+    assert not np.array_equal(np.load(tmp_path / "run" / "replay.npy"), np.load(finished / "replay.npy")[:80])
+    assert curve_of(tmp_path / "run")[0]["mean_return"] != curve_of(finished)[0]["mean_return"]
+    assert online.run_in(tmp_path / "run").contact_margins == old
+    with pytest.raises(ConfigError, match=f"other settings .contact_margins '{old}'."):
+        train(dataclasses.replace(run, contact_margins=None), tmp_path / "run")
+
+    monkeypatch.setattr("odaf.behaviour.export.CLOSE_LOOK", 2)
+    monkeypatch.setattr("odaf.behaviour.export.FIRST_LOOK", 1)
+    facts = export(tmp_path / "run", tmp_path / "policies", tmp_path / "ledger")
+    assert facts["training"]["command"].endswith(f" --contact-margins {old}")
+
+    monkeypatch.setitem(PUBLISHED, "hopper-medium", (-1e6, 0.0))
+    dataset = exact_replay("hopper-medium-replay", tmp_path / "run")
+    assert recorded(dataset.provenance) == {"mujoco": installed_version(), "contact_margins": old}
+    assert dataset.environment is not None and dataset.environment["contact_margins"] == old
+    with pytest.raises(ConfigError, match=f"contact margins '{old}', not '{installed_rule()}'"):
+        exact_replay("hopper-medium-replay", tmp_path / "run", contact_margins=installed_rule())
+
+
+def test_a_run_of_before_there_were_rules_goes_on(finished, tmp_path):
+    path = shutil.copytree(finished, tmp_path / "run") / "config.json"
+    config = json.loads(path.read_text())
+    del config["run"]["contact_margins"]
+    path.write_text(json.dumps(config))
+    train(TINY, tmp_path / "run")
+    assert json.loads(path.read_text())["run"]["contact_margins"] is None
 
 
 def test_settings_that_do_not_fit_the_stretches_are_named():

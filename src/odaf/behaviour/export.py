@@ -82,7 +82,7 @@ def export(
         raise ConfigError(f"{directory}: no snapshots yet; the first is written after {run.random_steps:,} steps")
     loaded = {step: _halved(load_policy(path)) for step, path in snapshots.items()}
     progress = progress or Silent()
-    simulators = [Simulator(task, run.version) for _ in range(CLOSE_LOOK)]
+    simulators = run.simulators(CLOSE_LOOK)
     progress.start(f"{task.name} snapshots", len(loaded), unit="snapshots")
     looks: dict[int, float] = {}
     for step, policy in loaded.items():
@@ -98,6 +98,7 @@ def export(
         return _nearest({step: loaded[step] for step in near}, simulators, reference, target, terminal_limits(falls))
 
     settings = f"--seed {run.seed} --steps {run.steps} --batch-size {run.batch_size}"
+    settings += "" if run.contact_margins is None else f" --contact-margins {run.contact_margins}"
     training = {
         "algorithm": asdict(run.algorithm()),
         "run": asdict(run),

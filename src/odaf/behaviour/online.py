@@ -25,6 +25,7 @@ from odaf.behaviour.replay import Replay, unpack
 from odaf.components.policies import GaussianActor
 from odaf.data.spec import Spec
 from odaf.data.writing import write_text
+from odaf.environments.contact_margins import ContactMargins, check
 from odaf.environments.gaussian_policy import GaussianPolicy
 from odaf.environments.locomotion import TIME_LIMIT, Simulator, Task, task_of
 from odaf.environments.reference_returns import REFERENCES
@@ -62,9 +63,12 @@ class OnlineRun:
     """Steps between copies of the actor."""
     checkpoint_every: int = 50_000
     """Steps between checkpoints."""
+    contact_margins: ContactMargins | None = None
+    """How MuJoCo counts the margins of two geoms that touch, "added" or "larger"; None is as the installed one does."""
 
     def __post_init__(self) -> None:
         task_of(self.task, self.version)
+        check(self.contact_margins)
         for field in ("steps", "random_steps", "evaluate_every", "snapshot_every", "checkpoint_every"):
             value = getattr(self, field)
             if value < 1 or value % self.stretch:
@@ -73,6 +77,10 @@ class OnlineRun:
     def algorithm(self) -> TruncatedQuantileCritics:
         """The learner."""
         return TruncatedQuantileCritics(dropped=DROPPED[self.task], batch_size=self.batch_size)
+
+    def simulators(self, count: int) -> list[Simulator]:
+        """So many bodies of its task."""
+        return [Simulator(task_of(self.task, self.version), self.version, self.contact_margins) for _ in range(count)]
 
 
 @dataclasses.dataclass
@@ -106,7 +114,7 @@ def train(
     progress = progress or Silent()
     task, algorithm = task_of(run.task, run.version), run.algorithm()
     _claim(run, directory)
-    simulator = Simulator(task, run.version)
+    (simulator,) = run.simulators(1)
     replay = Replay(directory / "replay.npy", task, run.steps)
     state, now = _start(run, task, algorithm, simulator, directory)
     key, updates = jr.key(run.seed), _compiled(algorithm, task)
@@ -248,7 +256,7 @@ def _compiled(
 
 
 def _evaluation(run: OnlineRun, task: Task, policy: GaussianPolicy) -> dict[str, Any]:
-    returns = play(policy, [Simulator(task, run.version) for _ in range(run.episodes)], seed=run.seed).returns
+    returns = play(policy, run.simulators(run.episodes), seed=run.seed).returns
     return {
         "environment": task.environment_id(run.version),
         "episodes": run.episodes,
@@ -272,9 +280,15 @@ def _claim(run: OnlineRun, directory: Path) -> None:
     path, settings = directory / "config.json", plain(dataclasses.asdict(run))
     directory.mkdir(parents=True, exist_ok=True)
     if path.exists():
-        before = json.loads(path.read_text(encoding="utf-8"))["run"]
-        if before | {"steps": run.steps} != settings:
-            raise ConfigError(f"{directory}: holds a run with other settings; name another place or remove it")
+        before = plain(dataclasses.asdict(run_in(directory)))
+        different = [
+            f"{name} {before[name]!r}" for name in before if name != "steps" and before[name] != settings[name]
+        ]
+        if different:
+            raise ConfigError(
+                f"{directory}: holds a run with other settings ({', '.join(different)}); name another place or remove "
+                "it"
+            )
         if before["steps"] > run.steps:
             raise ConfigError(
                 f"{directory}: holds a run of {before['steps']:,} steps, and {run.steps:,} were asked for; "

@@ -31,6 +31,9 @@ class TrainOptions:
     """The same seed gives the same bits on the same machine and versions."""
     version: Literal["v4", "v5"] = "v4"
     """Environment version."""
+    contact_margins: Annotated[Literal["added", "larger"] | None, tyro.conf.arg(metavar="RULE")] = None
+    """How MuJoCo counts the contact margins of two parts that touch: `added`, as it does from 3.5.0 on, or `larger`, as
+    before, which makes Hopper the older body; without it, as the installed one does."""
     core: Annotated[int | None, tyro.conf.arg(metavar="INT")] = None
     """Stay on this processor core, so that runs side by side do not fight over threads."""
 
@@ -45,7 +48,14 @@ def train(arguments: list[str]) -> None:
     from odaf.behaviour.online import train as train_online
     from odaf.training.progress import default_progress
 
-    run = OnlineRun(options.task, options.version, options.seed, options.steps, batch_size=options.batch_size)
+    run = OnlineRun(
+        options.task,
+        options.version,
+        options.seed,
+        options.steps,
+        batch_size=options.batch_size,
+        contact_margins=options.contact_margins,
+    )
     with repeatable():
         train_online(run, options.out, default_progress(True))
 

@@ -209,15 +209,13 @@ def _locomotion_data(options: GenerateOptions) -> "Dataset":
 
     version, progress = options.version or "v4", default_progress(True)
     if options.exact is not None:
-        if options.contact_margins is not None:
-            raise ConfigError("--contact-margins: a training run is recorded in the installed simulator; leave it out")
         if options.transitions is not None:
             raise ConfigError("--transitions: the buffer of a training run is as long as its training; leave it out")
 
         from odaf.behaviour.exact_replay import exact_replay
 
         with repeatable():
-            return exact_replay(options.name, options.exact, options.seed, version, progress)
+            return exact_replay(options.name, options.exact, options.seed, version, progress, options.contact_margins)
 
     from odaf.environments.locomotion_data import generate
 

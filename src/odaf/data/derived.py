@@ -147,9 +147,9 @@ class Derivation:
             memory: of the step before.
 
         Returns:
-            [rows, len(self.names)] float32, NaN in rows of which fewer than `history` steps are known: for these the
-            log has no observation either, and somebody else has to act. Where `lags` is not 0, tell the next step with
-            `acted` what was done in this one.
+            [rows, len(self.names)] float32, with NaN in rows of which fewer than `history` steps are known: for these
+            the log has no observation either, and somebody else has to act. Where `lags` is not 0, tell the next step
+            with `acted` what was done in this one.
 
         Raises:
             DatasetError: a reading or what is computed of it is not finite, or nothing was said of what was done in the
@@ -165,12 +165,9 @@ class Derivation:
         parts = [own, *([own - before[:, 0]] if self.differences else [])]
         for lag in range(self.lags):
             parts += [before[:, lag], memory.actions[:, lag]]
-        seen = np.concatenate(parts, axis=1)
-        if self.history:
-            seen[np.isnan(before[:, -1, 0])] = np.nan
         later = np.concatenate([own[:, None], before], axis=1)[:, : self.history]
         actions = np.concatenate([np.full_like(memory.actions[:, :1], np.nan), memory.actions[:, :-1]], axis=1)
-        return seen, Memory(later, actions)
+        return np.concatenate(parts, axis=1), Memory(later, actions)
 
     def acted(self, actions: np.ndarray, memory: Memory) -> Memory:
         """What is remembered once it is known what was done in the step that `step` saw last.
