@@ -31,6 +31,7 @@ _HOME_OF = {
     "RunSettings": "odaf.training.settings",
     "Run": "odaf.evaluation",
     "ValueSmoothing": "odaf.algorithms.terms",
+    "compare": "odaf.report.comparison",
     "evaluate": "odaf.runs.evaluate",
     "fit": "odaf.runs.fit",
     "load_run": "odaf.runs.fit",
@@ -81,6 +82,7 @@ if TYPE_CHECKING:
     from odaf.data import Dataset
     from odaf.errors import CheckpointError, ConfigError, DatasetError, DivergenceError, OdafError
     from odaf.evaluation import Policy, Rollouts, Run, rollout
+    from odaf.report.comparison import compare
     from odaf.runs.evaluate import evaluate
     from odaf.runs.fit import fit, load_run, resume
     from odaf.runs.methods import ODAF, preset
@@ -109,6 +111,7 @@ __all__ = [
     "RunSettings",
     "ValueSmoothing",
     "__version__",
+    "compare",
     "evaluate",
     "fit",
     "load_run",

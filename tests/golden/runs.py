@@ -1,6 +1,8 @@
-"""Run directories of learners that were never trained: they load like any other, and are written in a moment."""
+"""Run directories without any training, written in a moment: of untrained learners, and of scores alone."""
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import jax.random as jr
 import numpy as np
@@ -9,7 +11,7 @@ from odaf.algorithms.base import Algorithm
 from odaf.data.dataset import Dataset
 from odaf.data.normalisation import Normaliser
 from odaf.training import checkpoints, run_writing
-from odaf.training.files import plain
+from odaf.training.files import plain, write_json
 from odaf.training.process_record import process_record
 from odaf.training.settings import RunSettings
 
@@ -43,4 +45,47 @@ def untrained_run(
         state = learner.init(jr.key(seed), spec, learner.untrained(jr.key(seed), spec))
         summary = {"seed": seed, "step": 0, "status": "finished", "evaluation": None, "warnings": []}
         checkpoints.save(run.seed_directory(seed) / "checkpoints", 0, state, {"seed": seed, "summary": summary})
+    return directory
+
+
+def scored_run(
+    directory: Path,
+    returns: Mapping[int, Sequence[float | None]],
+    preset: str = "odaf",
+    *,
+    data: Mapping[str, Any] | None = None,
+    step: int = 100,
+    **algorithm: Any,
+) -> Path:
+    """What a report reads of a run: for each seed the returns of its last evaluation, None for one that broke off.
+
+    Args:
+        data: entries of `data.json` to add or to replace.
+        algorithm: settings of the learner.
+    """
+    config = {"preset": preset, "algorithm": {"kind": "ensemble-sac", **algorithm}, "steps": step, "seeds": [*returns]}
+    record = {
+        "path": "log.h5",
+        "rows_sha256": "ab12" * 16,
+        "sha256": "cd34" * 16,
+        "summary": {"mean_return": 2.0, "best_return": 5.0, "transitions": 40, "episodes": 4, "provenance": {}},
+        "environment": {"name": "gymnasium", "id": "Hopper-v5", "kwargs": {}},
+    }
+    directory.mkdir(parents=True)
+    write_json(directory / "config.json", config | {"format": "odaf-run", "version": 2})
+    write_json(directory / "data.json", record | dict(data or {}))
+    write_json(directory / "environment.json", {"versions": {"odaf": "0.2.0"}, "command": ["odaf", "train", preset]})
+    for seed, values in returns.items():
+        sound = [value for value in values if value is not None]
+        evaluation = {
+            "step": step,
+            "mean_return": float(np.mean(sound)) if sound else None,
+            "std_return": float(np.std(sound)) if sound else None,
+            "episodes": len(values),
+            "returns": list(values),
+        }
+        (directory / f"seed-{seed}").mkdir()
+        summary = {"seed": seed, "step": step, "status": "finished", "evaluation": evaluation if values else None}
+        timing = {"updates_per_second": 50.0, "seconds": {"train": 2.0}, "warnings": []}
+        write_json(directory / f"seed-{seed}" / "summary.json", summary | timing)
     return directory

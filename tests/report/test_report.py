@@ -256,7 +256,7 @@ def test_names_can_be_chosen(run_writer, tmp_path):
     page = Page(report.build(runs, out, names=["<ours>", "theirs"]).read_text())
     assert page.row("<ours> one") and page.row("theirs two")
     for names, said in (
-        (["a"], r"names: 1 for 2 runs \(.*one.*two\)"),
+        (["a"], r"1 names for 2 runs \(.*one.*two\)"),
         (["a", "a"], "'a' is given twice"),
         (["a", " "], "empty"),
     ):

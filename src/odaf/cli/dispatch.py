@@ -62,6 +62,7 @@ COMMANDS = (
     Command("resume", "DIR", "go on with a run exactly where it stopped", "odaf.cli.resume"),
     Command("evaluate", "DIR", "play episodes with the policies of a run", "odaf.cli.evaluate"),
     Command("report", "DIR... --out FILE", "draw one page that compares runs", "odaf.cli.report"),
+    Command("compare", "DIR...", "say whether one run is better, and how sure", "odaf.cli.compare"),
     Command("behaviour train", "TASK --out DIR", "learn a policy to record data with", "odaf.cli.behaviour", "train"),
     Command("behaviour export", "DIR", "let `data generate` use such policies", "odaf.cli.behaviour", "export"),
     Command("demo", "", "stitch a maze from poor demonstrations, in minutes", "odaf.cli.demo"),

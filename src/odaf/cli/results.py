@@ -1,28 +1,17 @@
 """How results are printed: plain tables that a terminal, a file and a person can read."""
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from odaf.cli.spelling import spelled
+from odaf.report.plain_tables import table
 
 if TYPE_CHECKING:
     from odaf.data.checks import Report
     from odaf.evaluation import Estimate, Run, Scores
     from odaf.runs.evaluate_attacks import AttackCurve
-
-
-def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Columns aligned by the longest entry; the first to the left, the others to the right."""
-    widths = [max(len(row[column]) for row in [header, *rows]) for column in range(len(header))]
-    lines = []
-    for row in [header, ["-" * width for width in widths], *rows]:
-        first, *others = (
-            entry.ljust(w) if i == 0 else entry.rjust(w) for i, (entry, w) in enumerate(zip(row, widths, strict=True))
-        )
-        lines.append("  ".join([first, *others]).rstrip())
-    return "\n".join(lines)
 
 
 def number(value: float | None, digits: int = 1) -> str:

@@ -59,14 +59,14 @@ def listed(names: Sequence[str]) -> str:
 def _checked(names: list[str], runs: Sequence[RunRecord]) -> list[str]:
     if len(names) != len(runs):
         raise ConfigError(
-            f"names: {len(names)} for {len(runs)} runs ({', '.join(str(run.directory) for run in runs)}); "
-            "give one name a run, in the order of the runs"
+            f"{len(names)} names for {len(runs)} runs ({', '.join(str(run.directory) for run in runs)}); "
+            "give names= one for each run, in their order"
         )
     if any(not name.strip() for name in names):
-        raise ConfigError("names: one is empty; give each run a name of its own")
+        raise ConfigError("a name is empty; give names= one for each run")
     twice = _repeated(names)
     if twice:
-        raise ConfigError(f"names: {sorted(twice)[0]!r} is given twice; give each run a name of its own")
+        raise ConfigError(f"the name {sorted(twice)[0]!r} is given twice; give names= another for each run")
     return names
 
 

@@ -17,7 +17,7 @@ from odaf.report.drawing import DARK, LIGHT
 from odaf.report.layout import maze_layout
 from odaf.report.names import listed, names_of
 from odaf.report.records import LOCAL, RunRecord, data_prints, environments, find_runs, optional, read_run
-from odaf.report.scores import Score, headline_index, score
+from odaf.report.scores import Score, decimals, headline_index, score
 from odaf.report.svg import variables
 
 _NOT_SETTINGS = ("format", "version")
@@ -266,9 +266,3 @@ def command(run: RunRecord) -> str | None:
     else:
         start = ["python", program]
     return shlex.join([*start, *options])
-
-
-def decimals(values: Sequence[float | None]) -> int:
-    """Digits after the point that show about four digits of the largest value, the same for a whole column."""
-    largest = max((abs(value) for value in values if value is not None), default=0.0)
-    return 0 if largest >= 10_000 else 1 if largest >= 10 else 2 if largest >= 1 else 3

@@ -64,6 +64,12 @@ def headline_index(scores: Sequence[Score]) -> int:
     return max(range(len(scores)), key=lambda index: -math.inf if (mean := scores[index].mean) is None else mean)
 
 
+def decimals(values: Sequence[float | None]) -> int:
+    """Digits after the point that show about four digits of the largest value, the same for a whole column."""
+    largest = max((abs(value) for value in values if value is not None), default=0.0)
+    return 0 if largest >= 10_000 else 1 if largest >= 10 else 2 if largest >= 1 else 3
+
+
 def score(run: RunRecord, label: str) -> Score:
     """The table row of one run."""
     evaluations = [seed.evaluation for seed in run.evaluated if seed.evaluation is not None]
@@ -86,12 +92,13 @@ def score(run: RunRecord, label: str) -> Score:
         updates_per_second=_mean([_updates_per_second(seed) for seed in run.seeds]),
         train_seconds=_mean([_train_seconds(seed) for seed in run.seeds]),
         normalised=normalised(run.evaluation_environment_id, float(means.mean()) if means.size else None),
-        simulator=_simulator(run),
+        simulator=simulator_of(run),
         status=", ".join(unfinished) if unfinished else ("finished" if run.seeds else "not started"),
     )
 
 
-def _simulator(run: RunRecord) -> str:
+def simulator_of(run: RunRecord) -> str:
+    """What played the episodes, in words; empty where it is not known, or differs between seeds."""
     evaluations = [seed.summary.get("evaluation") or {} for seed in run.evaluated]
     found = {in_words(evaluation.get("simulator")) for evaluation in evaluations}
     return found.pop() if len(found) == 1 else ""
