@@ -16,7 +16,7 @@ from battery import learners
 from golden import tiny
 from odaf.algorithms import config
 from odaf.algorithms.numbers import split
-from odaf.algorithms.registry import ALGORITHMS
+from odaf.algorithms.registry import ALGORITHMS, TERMS
 from odaf.cli.options import field_help, settings_of
 from odaf.data.normalisation import Normaliser
 from odaf.data.sampling import training_column_shapes, training_columns
@@ -173,6 +173,16 @@ def test_advice_names_only_options_that_the_learner_has(kind):
         for word in warning.message.replace(";", " ").split():
             name, equals, _ = word.partition("=")
             assert not equals or name in settings, warning.message
+
+
+@each_learner
+def test_a_learner_names_its_paper(kind):
+    assert ALGORITHMS[kind]().citations(), f"give {kind} a method `citations`; algorithms/citations.py has papers"
+
+
+@pytest.mark.parametrize("name", [name for name in TERMS if TERMS[name].__module__.startswith("odaf.")])
+def test_a_term_names_its_paper(name):
+    assert TERMS[name]().citations(), f"give {name} a method `citations`; algorithms/citations.py has papers"
 
 
 @each_learner

@@ -7,6 +7,7 @@ from typing import Any, ClassVar, Generic, TypeVar
 import equinox as eqx
 from jaxtyping import Array, Float, Int, PRNGKeyArray, PyTree
 
+from odaf.algorithms.citations import Citation
 from odaf.components.critics import CriticEnsemble
 from odaf.components.policies import Actor
 from odaf.data.dataset import Dataset
@@ -45,6 +46,10 @@ class Algorithm(abc.ABC, Generic[State]):
     refresh_every: int = 0
     """Updates between two calls of `refresh`, the first one before the first update; 0 never calls it."""
     batch_size: int
+
+    def citations(self) -> tuple[Citation, ...]:
+        """The papers to name beside results of these settings; those of its terms come from the terms."""
+        return ()
 
     def view(self) -> View:
         """What of the log the learner sees; by default single rows with the reward as logged."""

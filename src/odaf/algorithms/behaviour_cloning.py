@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PRNGKeyArray, PyTree
 
+from odaf.algorithms import citations
 from odaf.algorithms.base import Algorithm, LearnerState, Metrics
 from odaf.components.policies import DeterministicActor, init_deterministic_actor
 from odaf.components.trained import Trained
@@ -56,6 +57,10 @@ class BehaviourCloning(Algorithm[CloningState]):
     def view(self) -> View:
         """Single rows; rewards do not matter."""
         return View(normaliser_epsilon=self.normaliser_epsilon)
+
+    def citations(self) -> tuple[citations.Citation, ...]:
+        """Cloning of logged actions by a network."""
+        return (citations.CLONING,)
 
     def init(self, key: PRNGKeyArray, spec: Spec, models: PyTree) -> CloningState:
         """Random actor, fresh optimiser."""

@@ -30,6 +30,7 @@ import jax.random as jr
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from odaf.algorithms import citations
 from odaf.algorithms.base import Metrics, PretrainProgress
 from odaf.algorithms.ensemble_settings import EnsembleSettings
 from odaf.algorithms.ensemble_state import EnsembleState, Models, WarmStart
@@ -58,6 +59,11 @@ class EnsembleSAC(EnsembleSettings):
     """Ensemble soft actor-critic plus terms."""
 
     kind: ClassVar[str] = "ensemble-sac"
+
+    def citations(self) -> tuple[citations.Citation, ...]:
+        """SAC-N, or SAC itself where there are two critics; randomised priors where there are any."""
+        base = citations.ENSEMBLES if self.num_critics > 2 else citations.SAC
+        return (base,) if self.prior_scale == 0.0 else (base, citations.PRIORS)
 
     def view(self) -> View:
         """Rows of `return_steps` steps; rewards are scaled by the learner itself."""

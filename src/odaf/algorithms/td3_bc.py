@@ -19,6 +19,7 @@ import jax.numpy as jnp
 import jax.random as jr
 from jaxtyping import Array, Float, Int, PRNGKeyArray, PyTree
 
+from odaf.algorithms import citations
 from odaf.algorithms.base import Algorithm, LearnerState, Metrics
 from odaf.components.critics import CriticEnsemble, init_critics
 from odaf.components.losses import ensemble_td_gradient
@@ -93,6 +94,10 @@ class TD3BC(Algorithm[TD3BCState]):
         for field in ("value_weight", "target_noise", "noise_clip", "normaliser_epsilon"):
             if getattr(self, field) < 0.0:
                 raise ConfigError(f"{field}={getattr(self, field)} must not be negative")
+
+    def citations(self) -> tuple[citations.Citation, ...]:
+        """TD3+BC."""
+        return (citations.TD3_BC,)
 
     def view(self) -> View:
         """Single rows; papers add 1e-3 to the spreads."""

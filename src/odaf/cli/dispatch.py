@@ -63,6 +63,7 @@ COMMANDS = (
     Command("evaluate", "DIR", "play episodes with the policies of a run", "odaf.cli.evaluate"),
     Command("report", "DIR... --out FILE", "draw one page that compares runs", "odaf.cli.report"),
     Command("compare", "DIR...", "say whether one run is better, and how sure", "odaf.cli.compare"),
+    Command("cite", "METHOD...", "print the papers of a method", "odaf.cli.cite"),
     Command("behaviour train", "TASK --out DIR", "learn a policy to record data with", "odaf.cli.behaviour", "train"),
     Command("behaviour export", "DIR", "let `data generate` use such policies", "odaf.cli.behaviour", "export"),
     Command("demo", "", "stitch a maze from poor demonstrations, in minutes", "odaf.cli.demo"),

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PRNGKeyArray, PyTree
 
 from odaf.algorithms.base import Metrics, PretrainProgress
+from odaf.algorithms.citations import Citation
 from odaf.components.critics import CriticEnsemble
 from odaf.components.policies import GaussianActor
 from odaf.data.dataset import Dataset
@@ -43,6 +44,10 @@ class Term(abc.ABC):
     acts_on_target: ClassVar[bool] = False
     needs_next_state: ClassVar[bool] = False  # reads s' as the state after one step, so targets must span one step
     weight: float
+
+    def citations(self) -> tuple[Citation, ...]:
+        """The papers to name beside results of these settings."""
+        return ()
 
     def untrained(self, key: PRNGKeyArray, spec: Spec) -> PyTree:
         """The term's model before pre-training; () when it has none."""

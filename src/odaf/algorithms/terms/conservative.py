@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import jax.random as jr
 from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 
+from odaf.algorithms import citations
 from odaf.algorithms.base import Metrics
 from odaf.algorithms.terms.base import Context, Term
 from odaf.components.policies import draw_actions
@@ -33,6 +34,10 @@ class Conservative(Term):
     """Weight in each critic's loss (CQL 5 or 10); 0 leaves the term out."""
     num_actions: int = 10
     """n: uniform actions, and policy actions of either kind, a state."""
+
+    def citations(self) -> tuple[citations.Citation, ...]:
+        """CQL."""
+        return (citations.CQL,)
 
     def __post_init__(self) -> None:
         if self.num_actions < 1 or self.weight < 0:

@@ -21,6 +21,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 
+from odaf.algorithms import citations
 from odaf.algorithms.base import Metrics
 from odaf.algorithms.terms.base import Context, Term
 from odaf.components.critics import CriticEnsemble, over_members
@@ -40,6 +41,10 @@ class GradientDiversity(Term):
 
     weight: float = 1.0
     """eta, the weight in the critics' loss (EDAC 1 or 5, by task); 0 leaves the term out."""
+
+    def citations(self) -> tuple[citations.Citation, ...]:
+        """EDAC, of one paper with SAC-N."""
+        return (citations.ENSEMBLES,)
 
     def __post_init__(self) -> None:
         if self.weight < 0:

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import jax.random as jr
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from odaf.algorithms import citations
 from odaf.algorithms.base import Metrics
 from odaf.algorithms.terms.base import Context
 from odaf.algorithms.terms.inverse_dynamics import InverseDynamicsTerm, mean_where_followed
@@ -32,6 +33,10 @@ class InverseDynamicsAlignment(InverseDynamicsTerm):
 
     weight: float = 0.5
     """Weight in the actor's loss (OSR 0.5); 0 leaves the term out."""
+
+    def citations(self) -> tuple[citations.Citation, ...]:
+        """OSR."""
+        return (citations.OSR,)
 
     def actor_loss(
         self, context: Context, state: InverseDynamics, key: PRNGKeyArray

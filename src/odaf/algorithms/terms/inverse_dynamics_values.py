@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import jax.random as jr
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from odaf.algorithms import citations
 from odaf.algorithms.base import Metrics
 from odaf.algorithms.terms.base import Context
 from odaf.algorithms.terms.inverse_dynamics import InverseDynamicsTerm, mean_where_followed
@@ -38,6 +39,10 @@ class InverseDynamicsValues(InverseDynamicsTerm):
     """lambda_v, the weight in the critics' loss (not known; 5 is CQL's); 0 leaves the term out."""
     num_actions: int = 10
     """n, policy actions a state."""
+
+    def citations(self) -> tuple[citations.Citation, ...]:
+        """OSR-v, of one paper with OSR."""
+        return (citations.OSR,)
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -20,6 +20,7 @@ import jax.numpy as jnp
 import jax.random as jr
 from jaxtyping import Array, Float, Int, PRNGKeyArray, PyTree
 
+from odaf.algorithms import citations
 from odaf.algorithms.base import Metrics
 from odaf.algorithms.terms.base import Context, Term
 from odaf.components.chunks import draws_at_once, mean_over_chunks
@@ -71,6 +72,10 @@ class OODPessimism(Term):
     """Lower bound of the targets (PBRL 0); the learner's value range bounds them as well."""
     std_ddof: Literal[0, 1] = 0
     """0 divides the variance by K, 1 by K - 1 (both authors' codes)."""
+
+    def citations(self) -> tuple[citations.Citation, ...]:
+        """PBRL, and RORL where states are perturbed."""
+        return (citations.PBRL,) if self.radius == 0.0 else (citations.PBRL, citations.RORL)
 
     def __post_init__(self) -> None:
         if self.num_actions < 1 or self.decay_steps < 0 or self.radius < 0 or self.weight < 0:

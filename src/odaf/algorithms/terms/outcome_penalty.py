@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import jax.random as jr
 from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 
+from odaf.algorithms import citations
 from odaf.algorithms.base import Metrics, PretrainProgress
 from odaf.algorithms.terms.base import Context, Term
 from odaf.components.critics import disagreement
@@ -72,6 +73,10 @@ class OutcomePenalty(Term):
     """0 divides the variance by K (the paper), 1 by K - 1 (the released code)."""
     dynamics: DynamicsConfig = dataclasses.field(default_factory=DynamicsConfig)
     """The model of the next state."""
+
+    def citations(self) -> tuple[citations.Citation, ...]:
+        """ODAF."""
+        return (citations.ODAF,)
 
     def __post_init__(self) -> None:
         if self.reduce == "mean" and self.solver != "sample":

@@ -13,6 +13,7 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 
+from odaf.algorithms import citations
 from odaf.algorithms.base import Metrics
 from odaf.algorithms.terms.base import Context, Term
 from odaf.components.distributions import symmetric_gaussian_divergence
@@ -38,6 +39,10 @@ class PolicySmoothing(Term):
     """Draws a state, of which the worst counts."""
     shared_draws: bool = False
     """One set of offsets for the whole batch, as in RORL's code."""
+
+    def citations(self) -> tuple[citations.Citation, ...]:
+        """RORL."""
+        return (citations.RORL,)
 
     def __post_init__(self) -> None:
         if self.num_draws < 1 or self.radius < 0 or self.weight < 0:

@@ -14,6 +14,7 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 
+from odaf.algorithms import citations
 from odaf.algorithms.base import Metrics
 from odaf.algorithms.terms.base import Context, Term
 from odaf.components.perturbations import draw_offsets, worst_offsets
@@ -38,6 +39,10 @@ class ValueSmoothing(Term):
     """One set of offsets for the whole batch, as in RORL's code."""
     fall_weight: float = 0.2
     """tau: squares of values that fall inside the box count so much, of values that rise 1 minus this."""
+
+    def citations(self) -> tuple[citations.Citation, ...]:
+        """RORL."""
+        return (citations.RORL,)
 
     def __post_init__(self) -> None:
         if self.num_draws < 1 or self.radius < 0 or self.weight < 0 or not 0.0 <= self.fall_weight <= 1.0:

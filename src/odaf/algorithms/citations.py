@@ -1,0 +1,148 @@
+"""The papers that learners and terms implement, as data; a learner or a term says which of them it is.
+
+A field that is not known for certain is left out.
+"""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Citation:
+    """A publication, or a piece of software.
+
+    Attributes:
+        key: under which BibTeX knows it.
+        authors: first names first.
+        title: as printed.
+        year: of the publication; 0 for software, whose version says more.
+        venue: proceedings, in full; empty for a preprint and for software.
+        arxiv: number of the preprint; empty without one.
+        note: what else must be said, such as the version of software.
+    """
+
+    key: str
+    authors: tuple[str, ...]
+    title: str
+    year: int
+    venue: str = ""
+    arxiv: str = ""
+    note: str = ""
+    group: bool = False
+    """The authors are a group, whose name has no first and last part."""
+
+    def bibtex(self) -> str:
+        """One entry of a BibTeX file."""
+        fields = {
+            "author": " and ".join(f"{{{author}}}" if self.group else author for author in self.authors),
+            "title": f"{{{self.title}}}",  # doubled braces keep the capitals
+            "booktitle": self.venue,
+            "year": str(self.year) if self.year else "",
+            "eprint": self.arxiv,
+            "archivePrefix": "arXiv" if self.arxiv else "",
+            "note": self.note,
+        }
+        kind = "inproceedings" if self.venue else "misc"
+        lines = [f"  {name} = {{{value}}}," for name, value in fields.items() if value]
+        return "\n".join([f"@{kind}{{{self.key},", *lines, "}"])
+
+    def text(self) -> str:
+        """One line for a reader."""
+        *others, last = self.authors
+        authors = f"{', '.join(others)} and {last}" if others else last
+        parts = [f"{authors}. {self.title}"]
+        parts += [part for part in (self.venue, self.arxiv and f"arXiv {self.arxiv}", self.note) if part]
+        return f"{'. '.join(parts)}{f', {self.year}' if self.year else ''}."
+
+
+_NEURIPS = "Advances in Neural Information Processing Systems"
+
+ODAF = Citation(
+    "jiang2025odaf",
+    ("Ke Jiang", "Wen Jiang", "Yao Li", "Xiaoyang Tan"),
+    "Beyond Non-Expert Demonstrations: Outcome-Driven Action Constraint for Offline Reinforcement Learning",
+    2025,
+    arxiv="2504.01719",
+)
+SAC = Citation(
+    "haarnoja2018sac",
+    ("Tuomas Haarnoja", "Aurick Zhou", "Pieter Abbeel", "Sergey Levine"),
+    "Soft Actor-Critic: Off-Policy Maximum Entropy Deep Reinforcement Learning with a Stochastic Actor",
+    2018,
+    "International Conference on Machine Learning",
+    "1801.01290",
+)
+ENSEMBLES = Citation(
+    "an2021edac",
+    ("Gaon An", "Seungyong Moon", "Jang-Hyun Kim", "Hyun Oh Song"),
+    "Uncertainty-Based Offline Reinforcement Learning with Diversified Q-Ensemble",
+    2021,
+    _NEURIPS,
+    "2110.01548",
+)
+PBRL = Citation(
+    "bai2022pbrl",
+    (
+        "Chenjia Bai",
+        "Lingxiao Wang",
+        "Zhuoran Yang",
+        "Zhihong Deng",
+        "Animesh Garg",
+        "Peng Liu",
+        "Zhaoran Wang",
+    ),
+    "Pessimistic Bootstrapping for Uncertainty-Driven Offline Reinforcement Learning",
+    2022,
+    "International Conference on Learning Representations",
+    "2202.11566",
+)
+RORL = Citation(
+    "yang2022rorl",
+    ("Rui Yang", "Chenjia Bai", "Xiaoteng Ma", "Zhaoran Wang", "Chongjie Zhang", "Lei Han"),
+    "RORL: Robust Offline Reinforcement Learning via Conservative Smoothing",
+    2022,
+    _NEURIPS,
+    "2206.02829",
+)
+CQL = Citation(
+    "kumar2020cql",
+    ("Aviral Kumar", "Aurick Zhou", "George Tucker", "Sergey Levine"),
+    "Conservative Q-Learning for Offline Reinforcement Learning",
+    2020,
+    _NEURIPS,
+    "2006.04779",
+)
+OSR = Citation(
+    "jiang2023osr",
+    ("Ke Jiang", "Jia-Yu Yao", "Xiaoyang Tan"),
+    "Recovering from Out-of-sample States via Inverse Dynamics in Offline Reinforcement Learning",
+    2023,
+    _NEURIPS,
+)
+TD3_BC = Citation(
+    "fujimoto2021td3bc",
+    ("Scott Fujimoto", "Shixiang Shane Gu"),
+    "A Minimalist Approach to Offline Reinforcement Learning",
+    2021,
+    _NEURIPS,
+    "2106.06860",
+)
+CLONING = Citation(
+    "pomerleau1988alvinn",
+    ("Dean A. Pomerleau",),
+    "ALVINN: An Autonomous Land Vehicle in a Neural Network",
+    1988,
+    _NEURIPS,
+)
+PRIORS = Citation(
+    "osband2018priors",
+    ("Ian Osband", "John Aslanides", "Albin Cassirer"),
+    "Randomized Prior Functions for Deep Reinforcement Learning",
+    2018,
+    _NEURIPS,
+    "1806.03335",
+)
+
+
+def software(version: str) -> Citation:
+    """This package, as CITATION.cff has it."""
+    return Citation("odaf", ("The odaf contributors",), "odaf", 0, note=f"Software, version {version}", group=True)

@@ -1,0 +1,81 @@
+"""Which papers a method implements: a preset, a learner, a term, or the learner of a run."""
+
+import difflib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import odaf
+from odaf.algorithms import config
+from odaf.algorithms.citations import Citation, software
+from odaf.algorithms.registry import ALGORITHMS, TERMS
+from odaf.errors import ConfigError
+from odaf.runs import presets
+from odaf.training.run_directory import RunDirectory
+
+
+@dataclass(frozen=True)
+class Part:
+    """A part of a method and its papers; none where its author names none."""
+
+    name: str
+    citations: tuple[Citation, ...]
+
+
+def parts_of(method: str) -> list[Part]:
+    """The learner of a method and each of its terms that is not switched off.
+
+    Args:
+        method: a preset or its file, a learner's kind, a term's name, or a run directory.
+
+    Raises:
+        ConfigError: it is none of these; the message lists what is known.
+    """
+    found = _resolved(method)
+    terms = getattr(found, "active_terms", getattr(found, "terms", ()))
+    kind = getattr(found, "kind", None)
+    own = f"term {found.name}" if kind is None else f"learner {kind}"
+    return [Part(own, found.citations()), *(Part(f"term {term.name}", term.citations()) for term in terms)]
+
+
+def bibliography(methods: Sequence[str], layout: str = "bibtex") -> str:
+    """Every paper of the methods once, after lines that say what each is for, and this package itself last.
+
+    Args:
+        methods: as `parts_of` takes them.
+        layout: "bibtex", whose leading lines are comments, or "text".
+    """
+    mark = "% " if layout == "bibtex" else ""
+    lines, entries = [], {}
+    for method in methods:
+        lines.append(f"{mark}{method}")
+        for part in parts_of(method):
+            keys = ", ".join(citation.key for citation in part.citations)
+            lines.append(f"{mark}  {part.name}: {keys or 'has no citation of its own; its author knows what to cite'}")
+            entries |= {citation.key: citation for citation in part.citations}
+    own = software(odaf.__version__)
+    lines.append(f"{mark}the software: {own.key}")
+    found = [*entries.values(), own]
+    if layout == "bibtex":
+        return "\n\n".join(["\n".join(lines), *(citation.bibtex() for citation in found)])
+    return "\n".join([*lines, "", *(f"[{citation.key}] {citation.text()}" for citation in found)])
+
+
+def _resolved(method: str) -> Any:
+    """The learner or the term of that name."""
+    if (Path(method) / "config.json").is_file():
+        return config.from_dict(RunDirectory(Path(method)).config["algorithm"], str(Path(method) / "config.json"))
+    known = presets.names()
+    if method in known or (presets.is_file(method) and not Path(method).is_dir()):
+        return presets.load(method)
+    for registry in (ALGORITHMS, TERMS):
+        if method in registry:
+            try:
+                return registry[method]()
+            except TypeError:
+                raise ConfigError(f"{method}: its settings have no defaults; name a preset or a run of it") from None
+    names = [*known, *ALGORITHMS, *TERMS]
+    near = difflib.get_close_matches(method, names, n=1)
+    hint = f"did you mean {near[0]!r}?" if near else f"known are: {', '.join(dict.fromkeys(names))}"
+    raise ConfigError(f"{method}: is no preset, learner, term or run directory; {hint}")
