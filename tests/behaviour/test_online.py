@@ -150,6 +150,8 @@ def test_a_run_of_before_there_were_rules_goes_on(finished, tmp_path):
     config = json.loads(path.read_text())
     del config["run"]["contact_margins"]
     path.write_text(json.dumps(config))
+    with pytest.raises(ConfigError, match="other settings .contact_margins None."):
+        train(dataclasses.replace(TINY, contact_margins="larger"), tmp_path / "run")
     train(TINY, tmp_path / "run")
     assert json.loads(path.read_text())["run"]["contact_margins"] is None
 

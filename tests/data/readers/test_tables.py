@@ -3,6 +3,7 @@
 import datetime
 import json
 from typing import Any
+from zoneinfo import ZoneInfo
 
 import numpy as np
 import polars as pl
@@ -138,6 +139,75 @@ def test_frames_with_the_interface_of_pandas():
     columns["level"][3] = "full"
     with pytest.raises(DatasetError, match=r"column 'level' mixes numbers and text, for instance 'full' in row 3"):
         tables.from_frame(Frame(columns), **ROLES)
+
+
+class Nullable:
+    """A column of pandas' type Int64 and its like: values behind marks, which come as NaN unless one says otherwise."""
+
+    def __init__(self, values, kind):
+        self._values = values
+        self.dtype = type(kind, (), {"numpy_dtype": np.dtype(kind.lower())})()
+
+    def __len__(self):
+        return len(self._values)
+
+    def isna(self):
+        return np.array([value is None for value in self._values])
+
+    def to_numpy(self, dtype=None, na_value=np.nan):
+        return np.array([na_value if value is None else value for value in self._values], dtype)
+
+
+class Moment(datetime.datetime):
+    """pandas' Timestamp: a moment of Python's, which has no nanoseconds, that can give them."""
+
+    nanoseconds = 0
+
+    @classmethod
+    def at(cls, nanoseconds, zone=None):
+        moment = cls.fromtimestamp(nanoseconds // 10**9, zone)
+        moment.nanoseconds = nanoseconds
+        return moment
+
+    def to_datetime64(self):
+        return np.datetime64(self.nanoseconds, "ns")
+
+
+def test_numbers_that_may_be_missing_keep_their_type_and_their_digits():
+    """As pandas' Int64, boolean and Float32 give them: what is missing is missing, and nothing is rounded."""
+    rows, large = 10, 2**60
+    columns: dict[str, Any] = {name: tank()[name].to_numpy() for name in tank().columns}
+    columns["batch"] = Nullable([large + 1] * 5 + [large + 2] * 4 + [None], "Int64")
+    columns["id"] = Nullable([large + row for row in range(rows)], "UInt64")
+    columns["count"] = Nullable(list(range(rows)), "Int8")
+    columns["on"] = Nullable([True, False] * 5, "Bool")
+    log = tables.from_frame(columns, **ROLES, infos=["id", "count", "on"], on_missing="break")
+    assert column(log, "episode").tolist() == [0] * 5 + [1] * 4, "ids that differ in their last digit are two"
+    infos = {name: np.asarray(values) for name, values in log.infos.items()}
+    assert infos["id"].tolist()[:3] == [large, large + 1, large + 2] and infos["id"].dtype == np.uint64
+    assert infos["count"].dtype == np.int8 and infos["on"].dtype == bool
+    columns["level"] = Nullable([None, *range(1, rows)], "Float32")
+    with pytest.raises(DatasetError, match=r"frame: column 'level' has no value .* in row 0;"):
+        tables.from_frame(columns, **{**ROLES, "episode": 0})
+
+
+def test_moments_keep_their_nanoseconds_and_are_of_one_kind():
+    zone = ZoneInfo("Europe/Berlin")
+    first = 1711846800 * 10**9  # half an hour before clocks go forward
+    moments: list[Any] = [Moment.at(first + 100 * row, zone) for row in range(10)]
+    columns: dict[str, Any] = {name: tank()[name].to_numpy() for name in tank().columns}
+    columns |= {"time": Series(np.array(moments, object)), "seen": Series(np.array(moments, object))}
+    log = tables.from_frame(columns, **ROLES, infos=["seen"])
+    assert np.asarray(log.infos["seen"]).tolist() == [first + 100 * row for row in range(10)]
+    assert not [finding for finding in log.findings if finding["finding"] == "time-gaps"]
+    moments[3] = ...
+    columns["seen"] = Series(np.array(moments, object))
+    with pytest.raises(DatasetError, match="column 'seen' has no value .* in row 3"):
+        tables.from_frame(columns, **ROLES, infos=["seen"])
+    moments[3] = Moment.at(0)
+    columns["seen"] = Series(np.array(moments, object))
+    with pytest.raises(DatasetError, match="mixes moments in a time zone and moments without a time zone, .* in row 3"):
+        tables.from_frame(columns, **ROLES, infos=["seen"])
 
 
 def test_pandas_frames():

@@ -1,6 +1,7 @@
 """Tables in memory: polars and pandas frames, and mappings from names to arrays or lists."""
 
 from collections.abc import Mapping, Sequence
+from datetime import datetime
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ from odaf.data.readers.table_cells import without
 from odaf.data.readers.table_sources import Table, reading
 from odaf.errors import DatasetError
 
+_MOMENTS = ("moments without a time zone", "moments in a time zone")
 _BITS = 127  # whole numbers up to here have a type in polars
 
 
@@ -64,6 +66,9 @@ def _series(source: str, name: str, column: Any, missing_values: Sequence[str]) 
         raise DatasetError(f"{source}: column '{name}' is {column!r:.40}; give a sequence with one entry per step")
     if isinstance(column, np.ma.MaskedArray):
         return _unmasked(source, name, column, missing_values)
+    bare = getattr(getattr(column, "dtype", None), "numpy_dtype", None)
+    if isinstance(bare, np.dtype) and bare.kind in "biuf" and hasattr(column, "isna"):
+        return _nullable(name, column, bare)
     try:
         array = np.asarray(column.to_numpy() if hasattr(column, "to_numpy") else column)
     except ValueError:  # lists of different lengths
@@ -80,6 +85,16 @@ def _series(source: str, name: str, column: Any, missing_values: Sequence[str]) 
         array[np.asarray(column.isna(), bool)] = None
     values = [value.item() if isinstance(value, np.generic) else value for value in array.tolist()]
     return _of_objects(source, name, values, missing_values)
+
+
+def _nullable(name: str, column: Any, bare: np.dtype) -> pl.Series:
+    """A column of pandas' types that know a missing value, in the type of its numbers.
+
+    By itself it gives floating point where one is missing, which rounds large ids.
+    """
+    values = pl.Series(name, column.to_numpy(dtype=bare, na_value=bare.type(0)))
+    missing = np.asarray(column.isna(), bool)
+    return values.set(pl.Series(missing), None) if missing.any() else values
 
 
 def _unmasked(source: str, name: str, column: np.ma.MaskedArray, missing_values: Sequence[str]) -> pl.Series:
@@ -127,6 +142,14 @@ def _of_objects(source: str, name: str, values: list[Any], missing_values: Seque
             f"{source}: column '{name}' mixes {' and '.join(sorted(found))}, for instance {values[row]!r} "
             f"in row {row}; convert it to one type"
         )
+    if (
+        len(found) == 1
+        and found <= {*_MOMENTS}
+        and all(value is None or hasattr(value, "to_datetime64") for value in values)
+    ):
+        # pandas' moments: as Python's they would lose their nanoseconds. Those in a time zone are counted in UTC.
+        moments = [np.datetime64("NaT") if value is None else value.to_datetime64() for value in values]
+        return pl.Series(name, _known_resolution(source, name, np.array(moments)))
     if found == {"UUID"}:
         values = [None if value is None else str(value) for value in values]
     if found != {"numbers"}:
@@ -153,6 +176,8 @@ def _kind(value: Any) -> str:
         return "numbers"
     if isinstance(value, str):
         return "text"
+    if isinstance(value, datetime):
+        return _MOMENTS[value.tzinfo is not None]
     return "lists" if isinstance(value, (list, tuple, np.ndarray)) else type(value).__name__
 
 
