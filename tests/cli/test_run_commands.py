@@ -135,6 +135,25 @@ def test_resume_is_told_where_the_data_are_and_may_leave_the_evaluation_out(
     assert "this run keeps the last 1; --keep-checkpoints all" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("environment", "named"),
+    [
+        ("Hopper-v5", "Hopper-v5: its actions have shape (3,), the data's (2,)"),
+        ("NoSuch-v0", "NoSuch-v0"),
+        ("no_such_module:Plant-v0", "no_such_module"),
+    ],
+)
+def test_an_environment_that_is_not_the_logs_stops_train_before_anything_is_written(
+    environment: str, named: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    """A log that names no environment, as a plant's does, and one that does not fit it or does not exist."""
+    data, out = write_data(tmp_path / "plant.h5", None), tmp_path / "run"
+    words = ["train", "behaviour-cloning", "--data", str(data), "--out", str(out), "--env", environment]
+    assert main([*words, "--steps", "3", *CLONING]) == 2
+    assert named in capsys.readouterr().err
+    assert not out.exists()
+
+
 def test_train_with_the_wrong_environment_stops_before_anything_is_written(
     data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
