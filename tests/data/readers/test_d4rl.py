@@ -339,11 +339,14 @@ WRONG = {
 
 def test_an_archive_of_the_same_keys_is_read_alike(write, tmp_path):
     fields = {**columns(), "infos/qpos": np.arange(ROWS) + 2**40, "metadata/algorithm": np.array("SAC")}
+    fields |= {"infos/when": np.arange(ROWS).astype("M8[ms]"), "infos/gap": np.full(ROWS, "NaT", "M8[s]")}
     np.savez(tmp_path / "hopper.npz", **fields)
     archive, file = Dataset.load(tmp_path / "hopper.npz"), Dataset.load(write(**{"infos/qpos": fields["infos/qpos"]}))
     for name in (*COLUMNS, "episode_starts"):
         np.testing.assert_array_equal(getattr(archive, name), getattr(file, name))
     assert archive.infos["qpos"].dtype == np.int64 and archive.infos["qpos"][3] == 2**40 + 3
+    assert sorted(archive.infos) == ["qpos", "when"] and archive.infos["when"][:4].tolist() == [0, 1, 2, 3]
+    assert archive.provenance["fields_not_read"] == ["infos/gap", "metadata/algorithm"]
     assert archive.provenance["algorithm"] == "SAC" and archive.provenance["format"] == "d4rl"
     np.savez(tmp_path / "hopper.npz", **{name: fields[name] for name in fields if name != "rewards"})
     with pytest.raises(DatasetError, match=r"hopper.npz: field 'rewards' is missing; the file has \['actions'"):

@@ -27,6 +27,20 @@ def write(tmp_path):
     return write
 
 
+def test_dates_are_kept_as_whole_numbers_in_their_resolution(write):
+    rows = len(TERMINALS)
+    when = np.datetime64("2024-02-28T23:59:59", "s") + np.arange(rows)
+    took = np.arange(rows).astype("m8[ms]").astype(">m8[ms]")
+    gap = when.copy()
+    gap[1] = np.datetime64("NaT")
+    dataset = Dataset.load(write(when=when, took=took, gap=gap, short=when[1:], words=when.astype(str)), reward="zero")
+    assert sorted(dataset.infos) == ["qpos", "qvel", "took", "when"]
+    assert dataset.infos["when"].dtype == dataset.infos["took"].dtype == np.int64
+    np.testing.assert_array_equal(dataset.infos["when"], 1709164799 + np.array([0, 1, 2, 4, 5]))
+    np.testing.assert_array_equal(dataset.infos["took"], [0, 1, 2, 4, 5])
+    assert dataset.provenance["fields_not_read"] == ["gap", "short", "words"]
+
+
 def test_last_stored_row_is_a_successor_only(write):
     dataset = Dataset.load(write(), reward="zero")
     np.testing.assert_array_equal(dataset.observations[:, 0], [0, 1, 2, 4, 5])

@@ -227,16 +227,16 @@ def _time_limits(terminals: np.ndarray, limit: int) -> np.ndarray:
 
 
 def _infos(fields: Fields, rows: int) -> tuple[dict[str, Column], list[str]]:
-    """(arrays of numbers under `infos` with one entry per step, paths of all arrays that are left alone)."""
+    """(arrays of numbers or dates under `infos` with one entry per step, paths of all arrays that are left alone)."""
     infos: dict[str, Column] = {}
     others = []
     for name in fields.names:
         if name in (*_COLUMNS, "terminals", "timeouts"):
             continue
         if name.startswith("infos/"):
-            kind, shape = fields.kind(name)
-            if kind in "biuf" and shape[:1] == (rows,):
-                infos[name.removeprefix("infos/").replace("/", ".")] = fields.column(name)
+            column = fields.further(name, rows)
+            if column is not None:
+                infos[name.removeprefix("infos/").replace("/", ".")] = column
                 continue
         others.append(name)
     return infos, others

@@ -44,6 +44,11 @@ class Hdf5Fields:
         item = hdf5.dataset(self.file, self.source, name)
         return item.dtype.kind, item.shape
 
+    def further(self, name: str, rows: int) -> Column | None:
+        """A column to keep beside the rows; None where it is not one of numbers, or has not one entry a row."""
+        kind, shape = self.kind(name)
+        return self.column(name) if kind in "biuf" and shape[:1] == (rows,) else None
+
     def scalar(self, name: str) -> str | int | float | bool:
         """A text or a single number."""
         return hdf5.scalar(self.file, self.source, name)
@@ -76,6 +81,9 @@ class ArchiveFields:
                 "numbers, one entry per step; convert the column to float32"
             )
         return array
+
+    def further(self, name: str, rows: int) -> np.ndarray | None:
+        return numpy_files.further(self._arrays[name], rows)
 
     def kind(self, name: str) -> tuple[str, tuple[int, ...]]:
         return self._arrays[name].dtype.kind, self._arrays[name].shape

@@ -77,6 +77,16 @@ def read_single(path: str | os.PathLike[str]) -> np.ndarray:
         return _array(handle, source, "array", os.path.getsize(source))
 
 
+def further(array: np.ndarray, rows: int) -> np.ndarray | None:
+    """A column to keep beside the rows: its numbers, or dates and durations counted in their own resolution; None where
+    it is something else, has not one entry a row, or lacks a date, which no whole number can say."""
+    if array.shape[:1] != (rows,):
+        return None
+    if array.dtype.kind in "mM" and not np.isnat(array).any() and np.datetime_data(array.dtype)[0] != "generic":
+        return array.astype(array.dtype.newbyteorder("=")).view(np.int64)
+    return array if array.dtype.kind in "biuf" else None
+
+
 def holds_objects(path: str | os.PathLike[str]) -> bool:
     """Whether an `.npy` file holds pickled Python objects; read from its heading alone."""
     with reading(os.fspath(path)), open(path, "rb") as handle:

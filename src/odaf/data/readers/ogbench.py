@@ -108,9 +108,8 @@ def read(
     if "next_observations" in arrays:
         columns["next_observations"] = arrays["next_observations"]
     others = {name: array for name, array in arrays.items() if name not in _READ}
-    infos: dict[str, Column] = {
-        name: array for name, array in others.items() if array.dtype.kind in "biuf" and array.shape[:1] == (rows,)
-    }
+    kept = {name: numpy_files.further(array, rows) for name, array in others.items()}
+    infos: dict[str, Column] = {name: array for name, array in kept.items() if array is not None}
     return Log(
         columns=columns,
         source=source,
