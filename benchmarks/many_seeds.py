@@ -5,6 +5,7 @@ two ways take turns. `odaf train` does what this shows to be faster on the proce
 """
 
 import argparse
+import functools
 import statistics
 import sys
 import time
@@ -19,7 +20,15 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from benchmarks import learners
 from benchmarks.machine import machine, write_figures
 from odaf.runs.workers import cores, run_jobs
-from odaf.training.loop import donatable, stacked, train_stretch, train_stretch_many, training_key, update_number
+from odaf.training.loop import (
+    donatable,
+    split_lanes,
+    stacked,
+    train_lanes,
+    train_stretch,
+    training_key,
+    update_number,
+)  # fmt: skip
 
 
 def alone(job: tuple[str, int, int, float]) -> float:
@@ -48,10 +57,12 @@ def in_one_call(name: str, seeds: int, updates: int) -> float:
     algorithm, rows = learners.load(name), learners.columns()
     states: Any = stacked([donatable(learners.state_of(algorithm)) for _ in range(seeds)])
     keys = jr.split(jr.key(0), seeds)
-    states, _ = train_stretch_many(algorithm, rows, keys, update_number(0), update_number(2), states)
+    structure, numbers = split_lanes([algorithm] * seeds)
+    train = functools.partial(train_lanes, structure, numbers, rows, None, keys)
+    states, _ = train(update_number(0), update_number(2), states)
     jax.block_until_ready(states)
     before = time.perf_counter()
-    states, _ = train_stretch_many(algorithm, rows, keys, update_number(2), update_number(2 + updates), states)
+    states, _ = train(update_number(2), update_number(2 + updates), states)
     jax.block_until_ready(states)
     return seeds * updates / (time.perf_counter() - before)
 

@@ -25,15 +25,18 @@ _HOME_OF = {
     "OODPessimism": "odaf.algorithms.terms",
     "OdafError": "odaf.errors",
     "OutcomePenalty": "odaf.algorithms.terms",
+    "Plan": "odaf.runs.many",
     "Policy": "odaf.evaluation",
     "PolicySmoothing": "odaf.algorithms.terms",
     "Rollouts": "odaf.evaluation",
     "RunSettings": "odaf.training.settings",
     "Run": "odaf.evaluation",
     "ValueSmoothing": "odaf.algorithms.terms",
+    "combinations": "odaf.runs.many",
     "compare": "odaf.report.comparison",
     "evaluate": "odaf.runs.evaluate",
     "fit": "odaf.runs.fit",
+    "fit_many": "odaf.runs.many",
     "load_run": "odaf.runs.fit",
     "preset": "odaf.runs.methods",
     "register": "odaf.algorithms.registry",
@@ -85,6 +88,7 @@ if TYPE_CHECKING:
     from odaf.report.comparison import compare
     from odaf.runs.evaluate import evaluate
     from odaf.runs.fit import fit, load_run, resume
+    from odaf.runs.many import Plan, combinations, fit_many
     from odaf.runs.methods import ODAF, preset
     from odaf.training.settings import RunSettings
 
@@ -104,6 +108,7 @@ __all__ = [
     "OODPessimism",
     "OdafError",
     "OutcomePenalty",
+    "Plan",
     "Policy",
     "PolicySmoothing",
     "Rollouts",
@@ -111,9 +116,11 @@ __all__ = [
     "RunSettings",
     "ValueSmoothing",
     "__version__",
+    "combinations",
     "compare",
     "evaluate",
     "fit",
+    "fit_many",
     "load_run",
     "preset",
     "register",

@@ -15,7 +15,7 @@ import odaf
 from battery import learners
 from golden import tiny
 from odaf.algorithms import config
-from odaf.algorithms.numbers import split
+from odaf.algorithms.numbers import joined, split
 from odaf.algorithms.registry import ALGORITHMS, TERMS
 from odaf.cli.options import field_help, settings_of
 from odaf.data.normalisation import Normaliser
@@ -105,16 +105,27 @@ def test_actions_stay_in_bounds_and_repeat_and_draws_differ_by_key(kind):
 
 
 @each_learner
-def test_many_seeds_in_one_call_are_the_seeds_alone(kind):
+def test_lanes_are_their_trainings_alone(kind):
+    """Two lanes that differ in seed, in every number of the settings, and in the data set they draw from."""
     learner = learners.of_kind(kind)
+    structure, numbers = split(learner)
+    lanes = [learner, joined(structure, {name: 0.9 * float(number) for name, number in numbers.items()})]
+    own = _columns(learner)
+    reversed_rows = jax.tree.map(lambda column: column[::-1], own)
+    together = jax.tree.map(lambda *parts: jnp.concatenate(parts), own, reversed_rows)
+    rows, number = len(jax.tree.leaves(own)[0]), loop.update_number
+    slabs = (jnp.asarray([0, rows], jnp.int32), jnp.asarray([rows, rows], jnp.int32))
     keys = jnp.stack([loop.training_key(seed) for seed in SEEDS])
-    states = loop.stacked([_first(learner, seed) for seed in SEEDS])
-    number = loop.update_number
-    states, metrics = loop.train_stretch_many(learner, _columns(learner), keys, number(0), number(4), states)
-    state, alone = _trained(kind, SEEDS[0])
-    tiny.assert_close(loop.lane(states, 0), state, rtol=2e-4, atol=2e-5)
-    for name, value in alone.items():
-        np.testing.assert_allclose(metrics[name][0], value, rtol=1e-3, atol=1e-4, err_msg=name)
+    states = loop.stacked([_first(lane, seed) for lane, seed in zip(lanes, SEEDS, strict=True)])
+    states, metrics = loop.train_lanes(*loop.split_lanes(lanes), together, slabs, keys, number(0), number(4), states)
+    for place, columns in enumerate((own, reversed_rows)):
+        first = loop.donatable(_first(lanes[place], SEEDS[place]))
+        state, alone = loop.train_stretch(
+            lanes[place], columns, loop.training_key(SEEDS[place]), number(0), number(4), first
+        )
+        tiny.assert_close(loop.lane(states, place), state, rtol=2e-4, atol=2e-5)
+        for name, value in alone.items():
+            np.testing.assert_allclose(metrics[name][place], value, rtol=1e-3, atol=1e-4, err_msg=name)
 
 
 @each_learner

@@ -13,6 +13,7 @@ import pytest
 
 import odaf
 from odaf.cli import main
+from odaf.cli.train import values_of, with_ranges
 from odaf.environments.maze import STITCH
 
 TINY = (
@@ -359,3 +360,38 @@ def test_a_place_that_is_not_there_is_explained(tmp_path: Path, capsys: pytest.C
     file = tmp_path / "no" / "such" / "x.h5"
     assert main(["data", "generate", "pointmaze-stitch", "--repeats", "1", "--out", str(file)]) == 2
     assert str(file) in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("how", [("--lanes", "4"), ("--workers", "1")], ids=["lanes", "one after another"])
+def test_a_run_for_each_data_set_and_value(data: Path, tmp_path: Path, capsys, how):
+    other = write_data(tmp_path / "other.h5", {"name": "pointmaze", "maze": STITCH.to_dict(), "steps": 10})
+    words = ["train", "behaviour-cloning", "--data", str(data), str(other), "--out", str(tmp_path / "runs")]
+    words += ["--seeds", "0..1", "--set", "learning-rate=1e-3,3e-4", "batch_size=8", "--episodes", "2"]
+    words += ["--hidden-sizes", "8", "--steps", "6", "--checkpoint-every", "3", "--quiet", *how]
+    assert main(words) == 0
+    printed = capsys.readouterr().out
+    names = {f"{name},learning_rate={rate}" for name in ("maze", "other") for rate in ("0.001", "0.0003")}
+    assert {child.name for child in (tmp_path / "runs").iterdir()} == names
+    for name in names:
+        run = odaf.load_run(tmp_path / "runs" / name)
+        assert run.files.seeds == (0, 1) and run.scores().by_seed[1].step == 6
+        assert run.files.config["algorithm"]["batch_size"] == 8 and name in printed
+    assert main(words) == 0  # nothing is left to do
+
+
+def test_values_and_ranges_are_read_or_refused():
+    assert with_ranges(["--seeds", "0..2", "7", "--out", "0..2"]) == ["--seeds", "0", "1", "2", "7", "--out", "0..2"]
+    assert values_of(["outcome.weight=0.1,1", "hidden-sizes=[8,8],[16]", "critic_norm=none,layer", "a=true"]) == {
+        "outcome.weight": [0.1, 1], "hidden_sizes": [[8, 8], [16]], "critic_norm": ["none", "layer"], "a": [True]
+    }  # fmt: skip
+    for words, match in (
+        (["outcome.weight"], "a setting and its values"),
+        (["=1"], "a setting and its values"),
+        (["a=1,"], "a setting and its values"),
+        (["a=1", "a=2"], "stands there twice"),
+    ):
+        with pytest.raises(odaf.ConfigError, match=match):
+            values_of(words)
+    for words in (["--seeds", "3..1"], ["--seeds", "0..99999999"]):
+        with pytest.raises(odaf.ConfigError, match="smaller number first"):
+            with_ranges(words)

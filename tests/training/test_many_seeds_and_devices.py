@@ -45,7 +45,9 @@ def test_each_lane_is_its_seed_alone(tiny, kind):
     keys = jnp.stack([loop.training_key(seed) for seed in SEEDS])
     states = loop.stacked([_first(learner, dataset, seed) for seed in SEEDS])
     for first, last in ((0, 2), (2, 5)):
-        states, many = loop.train_stretch_many(*_fixed(learner, dataset, keys, first, last), states)
+        structure, numbers = loop.split_lanes([learner] * len(SEEDS))
+        _, columns, _, begin, end = _fixed(learner, dataset, keys, first, last)
+        states, many = loop.train_lanes(structure, numbers, columns, None, keys, begin, end, states)
     for index, seed in enumerate(SEEDS):
         state = _first(learner, dataset, seed)
         for first, last in ((0, 2), (2, 5)):

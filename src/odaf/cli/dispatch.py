@@ -58,7 +58,7 @@ COMMANDS = (
     Command("data split", "FILE --train FILE --holdout FILE", "set whole episodes aside", "odaf.cli.data_split"),
     Command("data mix", "EXPERT OTHER --ratio R --out FILE", "dilute expert data", "odaf.cli.data_mix"),
     Command("data convert", "FILE --to LAYOUT --out FILE", "write D4RL's or Minari's layout", "odaf.cli.data_convert"),
-    Command("train", "PRESET --data FILE --out DIR", "learn policies from a data set", "odaf.cli.train"),
+    Command("train", "PRESET --data FILE --out DIR", "learn policies from data sets", "odaf.cli.train"),
     Command("resume", "DIR", "go on with a run exactly where it stopped", "odaf.cli.resume"),
     Command("evaluate", "DIR", "play episodes with the policies of a run", "odaf.cli.evaluate"),
     Command("report", "DIR... --out FILE", "draw one page that compares runs", "odaf.cli.report"),

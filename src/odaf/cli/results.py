@@ -3,6 +3,7 @@
 import sys
 from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from odaf.cli.spelling import spelled
@@ -109,6 +110,32 @@ def print_run(run: "Run") -> None:
         for warning in summary["warnings"]:
             print(f"\nwarning, seed {seed}: {warning['message']}")
     print(f"\nThe run is in {run.directory}; draw it with: odaf report {run.directory} --out report.html")
+
+
+def print_runs(runs: Sequence["Run"], folder: Path) -> None:
+    """A line for each of several runs: how far its seeds are, and their mean; then warnings and what to do next."""
+    header = ["run", "seeds", "updates", "status", "mean return", "95 % interval"]
+    rows = []
+    for run in runs:
+        summaries = run.summary.values()
+        scored = all(summary.get("evaluation") for summary in summaries)
+        mean = run.scores().estimate() if scored else None
+        rows.append(
+            [
+                str(run.directory),
+                str(len(summaries)),
+                f"{min(summary['step'] for summary in summaries):,}",
+                ", ".join(dict.fromkeys(str(summary["status"]) for summary in summaries)),
+                number(mean.mean if mean else None),
+                _interval(mean) if mean else "-",
+            ]
+        )
+    print(table(header, rows))
+    for run in runs:
+        for seed, summary in run.summary.items():
+            for warning in summary["warnings"]:
+                print(f"\nwarning, {run.directory}, seed {seed}: {warning['message']}")
+    print(f"\nThe runs are in {folder}; draw them with: odaf report {folder} --out report.html")
 
 
 def print_report(report: "Report") -> None:

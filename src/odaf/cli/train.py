@@ -1,17 +1,20 @@
-"""`odaf train PRESET`: learn policies from a data set; every field of the preset is an option."""
+"""`odaf train PRESET`: learn policies from data sets; every field of the preset is an option."""
 
 import dataclasses
+import re
 import sys
+import tomllib
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
 from odaf.cli.compilation_cache import use_compilation_cache
-from odaf.cli.interrupts import resumable
+from odaf.cli.interrupts import repeatable, resumable
 from odaf.cli.options import parse, run_settings, settings_of, with_settings
 from odaf.cli.process import option_given, prepare_process
-from odaf.cli.results import print_run
+from odaf.cli.results import print_run, print_runs
 from odaf.errors import ConfigError
 from odaf.runs import presets
 
@@ -19,15 +22,21 @@ if TYPE_CHECKING:
     from odaf.data import Dataset
     from odaf.evaluation import Rollouts
 
+_MOST_SEEDS = 10_000
+
 
 @dataclasses.dataclass(frozen=True)
 class RunOptions:
     """The data, where the run goes, and where its policies are tried."""
 
-    data: Annotated[Path, tyro.conf.arg(metavar="FILE")]
-    """Data set to learn from: a file of `odaf data generate`, or one in the D4RL layout."""
+    data: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="FILE [FILE ...]")]
+    """Data set to learn from: a file of `odaf data generate`, or one in the D4RL layout. Several make a run each."""
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
-    """Directory for everything the run leaves behind; the same command again continues the run in it."""
+    """Directory for everything the run leaves behind; the same command again continues the run in it. Several runs get
+    a directory each in it, named by data set and values."""
+    set: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE[,VALUE ...]")] = ()
+    """Settings to try several values of, as in `actor_learning_rate=1e-4,3e-4 outcome.weight=0.1,1`: a run for each
+    combination."""
     task: Annotated[str | None, tyro.conf.arg(metavar="TASK")] = None
     """Take the preset's values for this task, as in hopper-medium; the defaults of this page are then that task's."""
     evaluate_every: int = 5_000
@@ -51,6 +60,7 @@ class RunOptions:
 
 def run(arguments: list[str]) -> None:
     """Entry point of the command."""
+    arguments = with_ranges(arguments)
     if not arguments or arguments[0].startswith("-"):
         return _without_preset(arguments)
     preset, rest = arguments[0], arguments[1:]
@@ -70,6 +80,7 @@ def train(preset: str, algorithm: Any, options: RunOptions, how: Any) -> None:
         options: data, directory and evaluation.
         how: the other fields of `RunSettings`.
     """
+    from odaf.algorithms.config import replace
     from odaf.data import Dataset
     from odaf.runs.fit import fit
     from odaf.runs.side_by_side import default_workers
@@ -79,10 +90,17 @@ def train(preset: str, algorithm: Any, options: RunOptions, how: Any) -> None:
     from odaf.training.trackers import tracker
 
     use_compilation_cache(options.compilation_cache)
+    if not options.data:
+        raise ConfigError("--data: name at least one file")
+    values = values_of(options.set)
+    data, *others = options.data
+    if others or any(len(each) > 1 for each in values.values()):
+        return _train_many(preset, algorithm, options, how, values)
+    algorithm = replace(algorithm, {name: each[0] for name, each in values.items()}, "--set")
     refuse_foreign(options.out)
     loggers = [tracker(name) for name in options.log_to]
-    dataset = Dataset.load(options.data)
-    settings = RunSettings(**vars(how), evaluate=_evaluation(options, dataset))
+    dataset = Dataset.load(data)
+    settings = RunSettings(**vars(how), evaluate=_evaluation(options, {data: dataset}))
     if settings.workers is None:
         cores = settings.cores or (recorded_config(options.out) or {}).get("cores") or 1
         settings = dataclasses.replace(settings, workers=default_workers(len(settings.seeds), cores))
@@ -94,21 +112,88 @@ def train(preset: str, algorithm: Any, options: RunOptions, how: Any) -> None:
             settings=settings,
             progress=not options.quiet,
             preset=preset,
-            data_path=options.data,
+            data_path=data,
             loggers=loggers,
         )
     print_run(result)
 
 
-def _evaluation(options: RunOptions, dataset: "Dataset") -> "Rollouts | None":
+def _train_many(
+    preset: str, algorithm: Any, options: RunOptions, how: Any, values: Mapping[str, Sequence[Any]]
+) -> None:
+    """Train a run for each combination of data sets and values, then print where each stands."""
+    from odaf.runs.many import combinations, fit_many
+    from odaf.runs.side_by_side import default_workers
+    from odaf.training.run_writing import refuse_foreign
+    from odaf.training.settings import RunSettings
+    from odaf.training.trackers import tracker
+
+    loggers = [tracker(name) for name in options.log_to]
+    runs = combinations(algorithm, options.data, values, options.out, preset)
+    for plan in runs:
+        refuse_foreign(plan.directory)
+    settings = RunSettings(**vars(how), evaluate=_evaluation(options, {plan.data_path: plan.dataset for plan in runs}))
+    if settings.workers is None:
+        workers = default_workers(len(settings.seeds), settings.cores or 1)
+        settings = dataclasses.replace(settings, workers=workers)
+    with repeatable():
+        results = fit_many(runs, settings=settings, progress=not options.quiet, loggers=loggers)
+    print_runs(results, options.out)
+
+
+def with_ranges(arguments: list[str]) -> list[str]:
+    """The words of a command with `0..3` behind `--seeds` written out as `0 1 2 3`."""
+    found, of_seeds = [], False
+    for word in arguments:
+        if word.startswith("--"):
+            of_seeds = word == "--seeds"
+        first, dots, last = word.partition("..")
+        if of_seeds and dots and first.isdecimal() and last.isdecimal():
+            if int(last) < int(first) or int(last) - int(first) >= _MOST_SEEDS:
+                raise ConfigError(
+                    f"--seeds {word}: write the smaller number first, and at most {_MOST_SEEDS} seeds, as in 0..3"
+                )
+            found += map(str, range(int(first), int(last) + 1))
+        else:
+            found.append(word)
+    return found
+
+
+def values_of(words: Sequence[str]) -> dict[str, list[Any]]:
+    """What `--set` says: for each setting the values that it takes.
+
+    Numbers, true, false and lists such as [64,64] are read as TOML; any other word stands for itself.
+    """
+    found: dict[str, list[Any]] = {}
+    for word in words:
+        name, equals, text = word.partition("=")
+        name = name.replace("-", "_")
+        values = [_value(value) for value in re.split(r",(?![^\[]*\])", text)]
+        if not name or not equals or "" in values:
+            raise ConfigError(f"--set {word}: write a setting and its values, as in outcome.weight=0.1,1")
+        if name in found:
+            raise ConfigError(f"--set {word}: {name} stands there twice; put all its values behind one name")
+        found[name] = values
+    return found
+
+
+def _value(text: str) -> Any:
+    text = text.strip()
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text
+
+
+def _evaluation(options: RunOptions, datasets: "Mapping[Any, Dataset]") -> "Rollouts | None":
     from odaf.evaluation import Rollouts
 
     if options.evaluate_every == 0:
         return None
-    if options.env is None and dataset.environment is None:
-        print(
-            f"{options.data} names no environment and no --env was given: policies are not evaluated", file=sys.stderr
-        )
+    if options.env is None and (nameless := [str(path) for path, each in datasets.items() if each.environment is None]):
+        verb = "names" if len(nameless) == 1 else "name"
+        which = ", ".join(nameless)
+        print(f"{which} {verb} no environment and no --env was given: policies are not evaluated", file=sys.stderr)
         return None
     return Rollouts(
         options.env,

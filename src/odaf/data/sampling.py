@@ -2,11 +2,12 @@
 
 from dataclasses import replace
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import jax.random as jr
 import numpy as np
-from jaxtyping import Array, PRNGKeyArray
+from jaxtyping import Array, Int, PRNGKeyArray
 
 from odaf.data.dataset import Dataset
 from odaf.data.mixing_batches import MixedColumns, sample_mixed
@@ -16,8 +17,17 @@ from odaf.data.transitions import Transitions
 from odaf.data.view import Extra, View
 from odaf.errors import DatasetError
 
+
+class Slab(eqx.Module):
+    """One data set among several whose rows lie one behind the other in the same arrays."""
+
+    columns: Transitions  # the rows of all sets
+    first: Int[Array, ""]  # the set's first row
+    rows: Int[Array, ""]  # and how many it has
+
+
 # What training draws its batches from.
-Columns = Transitions | MixedColumns
+Columns = Transitions | MixedColumns | Slab
 
 
 def training_columns(dataset: Dataset, normaliser: Normaliser, view: View = View()) -> Columns:
@@ -152,5 +162,8 @@ def sample(columns: Columns, key: PRNGKeyArray | Array, batch_size: int) -> Tran
     """
     if isinstance(columns, MixedColumns):
         return sample_mixed(columns.columns, columns.border, columns.ratio, key, batch_size)
+    if isinstance(columns, Slab):  # the same draws as from the set alone
+        rows = columns.first + jr.randint(key, (batch_size,), 0, columns.rows)
+        return jax.tree.map(lambda column: column[rows], columns.columns)
     rows = jr.randint(key, (batch_size,), 0, columns.rewards.shape[0])
     return jax.tree.map(lambda column: column[rows], columns)

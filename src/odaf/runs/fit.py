@@ -20,10 +20,12 @@ from odaf.evaluation.runs import Run
 from odaf.runs.side_by_side import evaluator_of, side_by_side
 from odaf.training.data_search import find_data
 from odaf.training.evaluator import Evaluator
-from odaf.training.fit import AsBegun, recorded_config
+from odaf.training.fit import AsBegun, TrainSeeds, recorded_config
+from odaf.training.lanes import Lane, train_in_lanes
 from odaf.training.logging import Logger
 from odaf.training.progress import ProgressReport
 from odaf.training.run_directory import RunDirectory
+from odaf.training.seeds import SeedTraining
 from odaf.training.settings import OnDivergence, RunSettings, SettingChanges
 
 
@@ -68,15 +70,10 @@ def fit(
     if not isinstance(dataset, Dataset):
         data_path, dataset = dataset, Dataset.load(dataset)
     settings = (settings or RunSettings()).with_changes(dict(changes))
-    if settings.device not in (None, jax.default_backend()):
-        raise ConfigError(
-            f"device: {settings.device} is asked for, but JAX computes on {jax.default_backend()} here; set the "
-            "environment variable JAX_PLATFORMS before Python starts, or install the JAX that knows the device"
-        )
     apart = settings.cores is not None and settings.cores != usable_cores()
-    settings = settings.resolved(recorded_config(Path(directory)))
-    apart = apart or (settings.workers or 1) > 1
-    evaluator = _evaluator(settings, dataset)
+    settings = resolved(settings, Path(directory))
+    apart = (apart or (settings.workers or 1) > 1) and settings.lanes == 1
+    evaluator = evaluator_for(settings, dataset)
     try:
         files = training.fit(
             algorithm,
@@ -87,11 +84,11 @@ def fit(
             preset=preset,
             loggers=loggers,
             data_path=data_path,
-            train_seeds=side_by_side(settings, data_path, apart),
+            train_seeds=_trainer(settings, data_path, apart),
             apart=apart,
         )
     finally:
-        _close(evaluator)
+        close(evaluator)
     return Run(files)
 
 
@@ -130,8 +127,8 @@ def resume(
         recorded = run.config["evaluate"]
         evaluate = None if recorded is None else Rollouts.from_dict(recorded)
     settings = replace(settings, evaluate=evaluate)
-    apart = (workers or 1) > 1
-    evaluator = _evaluator(settings, dataset)
+    apart = (workers or 1) > 1 and settings.lanes == 1
+    evaluator = evaluator_for(settings, dataset)
     try:
         files = training.resume(
             directory,
@@ -141,11 +138,11 @@ def resume(
             on_divergence=on_divergence,
             progress=progress,
             loggers=loggers,
-            train_seeds=side_by_side(replace(settings, evaluate=evaluator), data_path, apart),
+            train_seeds=_trainer(replace(settings, evaluate=evaluator), data_path, apart),
             apart=apart,
         )
     finally:
-        _close(evaluator)
+        close(evaluator)
     return Run(files)
 
 
@@ -154,7 +151,21 @@ def load_run(directory: str | os.PathLike[str]) -> Run:
     return Run(training.load_run(directory))
 
 
-def _evaluator(settings: RunSettings, dataset: Dataset) -> Evaluator | None:
+def resolved(settings: RunSettings, directory: Path) -> RunSettings:
+    """The settings with nothing left open, for a run that may be there already.
+
+    Raises:
+        ConfigError: JAX does not compute on the device that is asked for.
+    """
+    if settings.device not in (None, jax.default_backend()):
+        raise ConfigError(
+            f"device: {settings.device} is asked for, but JAX computes on {jax.default_backend()} here; set the "
+            "environment variable JAX_PLATFORMS before Python starts, or install the JAX that knows the device"
+        )
+    return settings.resolved(recorded_config(directory))
+
+
+def evaluator_for(settings: RunSettings, dataset: Dataset) -> Evaluator | None:
     """What tries the policies, or None; examined, so that what cannot work fails before anything is trained."""
     if isinstance(settings.evaluate, Rollouts):
         rollouts = settings.evaluate.resolved(dataset.environment)
@@ -166,7 +177,20 @@ def _evaluator(settings: RunSettings, dataset: Dataset) -> Evaluator | None:
     return settings.evaluate
 
 
-def _close(evaluator: Evaluator | None) -> None:
-    close = getattr(evaluator, "close", None)
-    if close is not None:
-        close()
+def close(evaluator: Evaluator | None) -> None:
+    """Gives back what an evaluator holds, such as its environments."""
+    method = getattr(evaluator, "close", None)
+    if method is not None:
+        method()
+
+
+def _trainer(settings: RunSettings, data_path: str | os.PathLike[str] | None, apart: bool) -> TrainSeeds:
+    """How the seeds of one run share the machine."""
+    lanes = settings.lanes or 1
+    if lanes == 1:
+        return side_by_side(settings, data_path, apart)
+
+    def train(seeds: Sequence[SeedTraining], dataset: Dataset, loggers: Sequence[Logger]) -> None:
+        train_in_lanes([Lane(seed, dataset) for seed in seeds], lanes, loggers, seeds[0].progress)
+
+    return train

@@ -1,7 +1,8 @@
 """Training a learner on a dataset: one run directory, one or several seeds, resumable at any point."""
 
+import contextlib
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal, Unpack
@@ -76,22 +77,53 @@ def fit(
         DivergenceError: training diverged and `on_divergence` is "stop", or parameters are no longer finite numbers;
             the state is saved first.
     """
+    settings = (settings or RunSettings()).with_changes(dict(changes)).resolved(recorded_config(Path(directory)))
+    report = default_progress(progress)
+    opened = open_run(
+        algorithm, dataset, directory=directory, settings=settings, report=report, preset=preset, data_path=data_path,
+        apart=apart,
+    )  # fmt: skip
+    with opened as (run, seeds):
+        _train(seeds, dataset, settings, report, loggers, train_seeds)
+    return run
+
+
+@contextlib.contextmanager
+def open_run(
+    algorithm: Algorithm,
+    dataset: Dataset,
+    *,
+    directory: str | os.PathLike[str],
+    settings: RunSettings,
+    report: ProgressReport,
+    preset: str | None = None,
+    data_path: str | os.PathLike[str] | None = None,
+    apart: bool = False,
+) -> Iterator[tuple[RunDirectory, list[SeedTraining]]]:
+    """A block in which the run is ours alone; gives it and its seeds that are not at their end. See `fit`.
+
+    Args:
+        algorithm: the learner's settings.
+        dataset: the logged data.
+        directory: where the run is written.
+        settings: resolved.
+        report: where progress is shown.
+        preset: name under which the learner's settings are known.
+        data_path: the file that `dataset` was read from.
+        apart: whether seeds are trained in other processes.
+    """
     register_parts(algorithm)
-    path = Path(directory)
-    settings = (settings or RunSettings()).with_changes(dict(changes)).resolved(recorded_config(path))
-    evaluate = _evaluator(settings)
+    path, evaluate = Path(directory), _evaluator(settings)
     normaliser = Normaliser.fit(dataset.observations, algorithm.view().normaliser_epsilon)
     data = run_writing.data_record(dataset, normaliser, data_path, path)
     config = run_writing.config_record(algorithm, settings, preset)
     run_writing.refuse_foreign(path)
     path.mkdir(parents=True, exist_ok=True)
-    report = default_progress(progress)
     with locked(path):
         new = not (path / "config.json").exists()
         process = process_record(_cores(settings, apart), settings.precision or "default")
         run = run_writing.begin(path, config, plain(data), process, dataset)
-        _train(run, dataset, settings, evaluate, report, loggers, train_seeds, None if new else process)
-    return run
+        yield run, _unfinished(run, settings, evaluate, report, None if new else process)
 
 
 def resume(
@@ -161,7 +193,8 @@ def resume(
         process = process_record(_cores(settings, apart), settings.precision or "default")
         if others:
             process["changed"] = {name: {"from": config[name], "to": value} for name, value in others.items()}
-        _train(run, dataset, settings, evaluate, report, loggers, train_seeds, process)
+        seeds = _unfinished(run, settings, evaluate, report, process)
+        _train(seeds, dataset, settings, report, loggers, train_seeds)
     return run
 
 
@@ -216,28 +249,36 @@ def _evaluate_ends_again(run: RunDirectory) -> None:
                 checkpoints.rewrite_record(checkpoint, {"summary": summary})
 
 
-def _train(
+def _unfinished(
     run: RunDirectory,
-    dataset: Dataset,
     settings: RunSettings,
     evaluate: Evaluator | None,
-    progress: ProgressReport,
-    loggers: Sequence[Logger],
-    train_seeds: TrainSeeds,
+    report: ProgressReport,
     resuming: dict[str, Any] | None,
-) -> None:
-    """Trains what is unfinished; `resuming` is the record of this process if an earlier one began the run."""
+) -> list[SeedTraining]:
+    """The seeds that are not at their end; `resuming` is the record of this process if an earlier one began the run."""
     run_writing.remove_unfinished(run.path, recursive=False)
-    seeds = [SeedTraining(run, seed, evaluate, settings.on_divergence, progress) for seed in run.seeds]
+    seeds = [SeedTraining(run, seed, evaluate, settings.on_divergence, report) for seed in run.seeds]
     for seed in seeds:
         if seed.is_finished():
             seed.tidy_up()
     unfinished = [seed for seed in seeds if not seed.is_finished()]
+    if unfinished and resuming is not None:
+        _note_process(run, resuming, report)
+    return unfinished
+
+
+def _train(
+    seeds: Sequence[SeedTraining],
+    dataset: Dataset,
+    settings: RunSettings,
+    report: ProgressReport,
+    loggers: Sequence[Logger],
+    train_seeds: TrainSeeds,
+) -> None:
     try:
-        if unfinished:
-            if resuming is not None:
-                _note_process(run, resuming, progress)
+        if seeds:
             with products_in(settings.precision):
-                train_seeds(unfinished, dataset, loggers)
+                train_seeds(seeds, dataset, loggers)
     finally:
-        progress.close()
+        report.close()

@@ -18,9 +18,14 @@ from jaxtyping import Array, Float, Int, Key, PRNGKeyArray
 
 from odaf.algorithms.base import Algorithm
 from odaf.algorithms.numbers import Numbers, joined, split
-from odaf.data.sampling import Columns
+from odaf.data.sampling import Columns, Slab
 from odaf.data.spec import Spec
+from odaf.data.transitions import Transitions
 from odaf.errors import ConfigError
+
+# First row and number of rows of each lane's data set.
+Slabs = tuple[Int[Array, " lanes"], Int[Array, " lanes"]]
+ManyNumbers = dict[str, Float[Array, " lanes"]]
 
 # What a seed's key is folded with, one number a purpose.
 _PRETRAIN, _INIT, _TRAIN = 0, 1, 2
@@ -108,43 +113,54 @@ def _train_stretch(
     return _stretch(joined(structure, numbers), columns, mesh, first, last, key, state)
 
 
-def train_stretch_many(
-    algorithm: Algorithm,
+def train_lanes(
+    structure: Algorithm,
+    numbers: ManyNumbers,
     columns: Columns,
-    keys: Key[Array, " seeds"],
+    slabs: Slabs | None,
+    keys: Key[Array, " lanes"],
     first: Int[Array, ""],
     last: Int[Array, ""],
     states: Any,
-) -> tuple[Any, dict[str, Float[Array, " seeds"]]]:
-    """`train_stretch` for many seeds in one compiled call; each lane is that seed's own training.
+) -> tuple[Any, dict[str, Float[Array, " lanes"]]]:
+    """`train_stretch` for many trainings in one compiled call; each lane is a training of its own.
+
+    Lanes differ in seed, in the numbers of their settings, and in which data set they draw from.
 
     Args:
-        algorithm: as for `train_stretch`, like `columns`, `first` and `last`; all seeds are at the same step.
-        columns: what batches are drawn from.
-        keys: the seeds' `training_key`s, stacked.
-        first: updates that `states` have had.
+        structure: of `odaf.algorithms.numbers.split`, the same for all lanes.
+        numbers: each with a leading axis [lanes].
+        columns: what batches are drawn from. With `slabs`, the rows of several data sets one behind the other.
+        slabs: first row and number of rows of each lane's data set; None draws from all of `columns`.
+        keys: the lanes' `training_key`s, stacked.
+        first: updates that `states` have had, the same for all lanes.
         last: updates that the result will have had.
-        states: the `stacked` states of the seeds. Their memory is given to the result: do not use them again.
+        states: the `stacked` states of the lanes. Their memory is given to the result: do not use them again.
 
     Returns:
-        The stacked states after `last` updates, and one number a metric and seed. A lane agrees with the single run up
-        to rounding, since products over many lanes are compiled differently.
+        The stacked states after `last` updates, and one number a metric and lane. A lane agrees with the single run up
+        to rounding, since products over many lanes are compiled differently; it does not depend on what the other lanes
+        hold.
     """
-    return _train_stretch_many(*split(algorithm), columns, keys, first, last, states)
+    return _train_lanes(structure, numbers, columns, slabs, keys, first, last, states)
 
 
 @functools.partial(jax.jit, static_argnames="structure", donate_argnames="states")
-def _train_stretch_many(
+def _train_lanes(
     structure: Algorithm,
-    numbers: Numbers,
+    numbers: ManyNumbers,
     columns: Columns,
-    keys: Key[Array, " seeds"],
+    slabs: Slabs | None,
+    keys: Key[Array, " lanes"],
     first: Int[Array, ""],
     last: Int[Array, ""],
     states: Any,
-) -> tuple[Any, dict[str, Float[Array, " seeds"]]]:
-    algorithm = joined(structure, numbers)
-    return jax.vmap(functools.partial(_stretch, algorithm, columns, None, first, last))(keys, states)
+) -> tuple[Any, dict[str, Float[Array, " lanes"]]]:
+    def one(numbers: Numbers, slab: Any, key: PRNGKeyArray, state: Any) -> tuple[Any, dict[str, Array]]:
+        own = Slab(columns, *slab) if slab is not None and isinstance(columns, Transitions) else columns
+        return _stretch(joined(structure, numbers), own, None, first, last, key, state)
+
+    return jax.vmap(one)(numbers, slabs, keys, states)
 
 
 # `train_stretch` for one learner and shape of its data: of columns, key, first, last and state.
@@ -167,13 +183,43 @@ def compiled_stretch(algorithm: Algorithm, columns: Columns, state: Any) -> Comp
     return functools.partial(compiled, numbers)
 
 
+def compiled_lanes(algorithm: Algorithm, columns: Columns, slabs: bool, state: Any, lanes: int) -> Any:
+    """`train_lanes` compiled for shapes alone: takes numbers, columns, slabs, keys, first, last and states.
+
+    Args:
+        algorithm: any of the lanes' learners.
+        columns: the shapes of the columns of all data sets together.
+        slabs: whether each lane has a part of them to draw from.
+        state: `run_directory.blank_state` of the learner.
+        lanes: how many trainings are in one call.
+    """
+    structure, numbers = split(algorithm)
+
+    def wide(leaf: Any) -> jax.ShapeDtypeStruct:
+        return jax.ShapeDtypeStruct((lanes, *leaf.shape), leaf.dtype)
+
+    row = jax.ShapeDtypeStruct((lanes,), jnp.int32)
+    number = jax.ShapeDtypeStruct((), jnp.int32)
+    key = wide(jax.eval_shape(lambda: training_key(0)))
+    many, states = jax.tree.map(wide, numbers), jax.tree.map(wide, state)
+    borders = (row, row) if slabs else None
+    return _train_lanes.lower(structure, many, columns, borders, key, number, number, states).compile()
+
+
 def update_number(step: int) -> Int[Array, ""]:
     """A number of updates, as `train_stretch` takes it."""
     return jnp.asarray(step, dtype=jnp.int32)
 
 
+def split_lanes(algorithms: Sequence[Algorithm]) -> tuple[Algorithm, ManyNumbers]:
+    """(structure, numbers with a leading axis [lanes]) of learners that differ in numbers alone."""
+    structures, numbers = zip(*map(split, algorithms), strict=True)
+    assert all(structure == structures[0] for structure in structures), "these learners have different programs"
+    return structures[0], {name: jnp.stack([each[name] for each in numbers]) for name in numbers[0]}
+
+
 def stacked(states: Sequence[Any]) -> Any:
-    """States of one learner as one state whose arrays have a leading axis [seeds]."""
+    """States of one learner as one state whose arrays have a leading axis [lanes]."""
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *states)
 
 

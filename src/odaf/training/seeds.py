@@ -1,8 +1,9 @@
 """One seed of a run: from its last checkpoint, or from nothing, to the last update."""
 
+import contextlib
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,6 +22,9 @@ from odaf.training.monitors import DivergenceMonitor, TrainingWarning
 from odaf.training.progress import ProgressReport
 from odaf.training.run_directory import RunDirectory
 from odaf.training.settings import KeepCheckpoints
+
+# What progress reports call the stage that counts updates.
+TRAINING = "training"
 
 
 @dataclass(frozen=True)
@@ -61,7 +65,7 @@ def compiling_stage(seed: int) -> str:
 
 def training_stage(seed: int) -> str:
     """What a progress report calls the stage that counts updates."""
-    return f"seed {seed}: training"
+    return f"seed {seed}: {TRAINING}"
 
 
 @dataclass
@@ -136,20 +140,53 @@ class SeedTraining:
             DivergenceError: as `odaf.training.fit.fit`.
             KeyboardInterrupt: somebody pressed Ctrl-C, or `asked_to_stop` says so; the state is saved first.
         """
+        key = loop.training_key(self.seed)
+        with self.opened(data.dataset, data.compile_seconds, loggers) as state:
+            while self.step < self.steps:
+                stop = self.next_stop()
+                first, last = loop.update_number(self.step), loop.update_number(stop)
+                began = time.perf_counter()
+                with held_back(self._say_that_it_saves) as interrupt:
+                    state, reduced = data.train(data.columns, key, first, last, state)
+                    interrupt.wait_for(reduced)
+                    metrics = {name: float(value) for name, value in jax.device_get(reduced).items()}
+                self.trained_to(stop, metrics, time.perf_counter() - began, lambda state=state: state, interrupt.came)
+
+    @contextlib.contextmanager
+    def opened(self, dataset: Dataset, compile_seconds: float, loggers: Sequence[Logger]) -> Iterator[Any]:
+        """A block in which the seed is trained: files cleaned, loggers open; gives the state to go on with.
+
+        Args:
+            dataset: for pre-training, if nothing is there yet.
+            compile_seconds: what its training took to compile.
+            loggers: receivers of metrics beside the seed's own file.
+        """
         self.directory.mkdir(exist_ok=True)
         run_writing.clean(self.directory, self.step)
         self.began = time.perf_counter() - self.record.seconds.get("total", 0.0)
-        self.began -= data.compile_seconds
-        _add(self.record.seconds, "compile", data.compile_seconds)
-        state = self.run.state(self.seed, self.step) if self.checkpoint else self._first_state(data.dataset)
-        lines = JsonLines(evaluated=not self.record.evaluation_due)
-        everyone = (lines, *loggers)
+        self.began -= compile_seconds
+        _add(self.record.seconds, "compile", compile_seconds)
+        state = loop.donatable(self.run.state(self.seed, self.step) if self.checkpoint else self._first_state(dataset))
+        self._lines = JsonLines(evaluated=not self.record.evaluation_due)
+        self._loggers = (self._lines, *loggers)
+        self._monitor = DivergenceMonitor(
+            self.run.spec,
+            self.run.algorithm.view().discount,
+            self.run.config["algorithm"],
+            seen={warning.kind for warning in self.record.warnings},
+        )
         try:
-            for logger in everyone:
+            for logger in self._loggers:
                 logger.open(self.directory, self.step)
-            self._go_on(loop.donatable(state), data, everyone, lines)
+            if not self.is_finished():
+                self.record.status = "running"
+            self.write_summary()
+            self.progress.start(training_stage(self.seed), self.steps, self.step)
+            if self.record.evaluation_due:
+                self._measure(state)
+            yield state
         finally:
-            for logger in everyone:
+            for logger in self._loggers:
                 logger.close()
 
     def _first_state(self, dataset: Dataset) -> Any:
@@ -172,77 +209,74 @@ class SeedTraining:
         self._save(state)
         return state
 
-    def _go_on(self, state: Any, data: TrainingData, loggers: Sequence[Logger], lines: JsonLines) -> None:
-        run, record, seconds = self.run, self.record, self.record.seconds
-        monitor = DivergenceMonitor(
-            run.spec, run.algorithm.view().discount, run.config["algorithm"], seen={w.kind for w in record.warnings}
+    def trained_to(
+        self, stop: int, metrics: dict[str, float], took: float, state: Callable[[], Any], interrupted: bool = False
+    ) -> None:
+        """Takes note of a stretch: logs, watches, saves and evaluates as is due.
+
+        Args:
+            stop: updates that the seed has had now.
+            metrics: of the stretch.
+            took: its seconds.
+            state: gives the learner's state; called only if it is needed.
+            interrupted: whether to save and stop.
+
+        Raises:
+            DivergenceError: as `odaf.training.fit.fit`.
+            KeyboardInterrupt: `interrupted`, or `asked_to_stop` says so; the state is saved first.
+        """
+        record = self.record
+        _add(record.seconds, "train", took)
+        timing = {"time/updates_per_second": (stop - self.step) / took}
+        self.step = stop
+        timing["time/seconds"] = time.perf_counter() - self.began
+        for logger in self._loggers:
+            logger.log(stop, {**metrics, **timing})
+        diverged = self._monitor.observe(stop, metrics)
+        for warning in diverged:
+            self._warn(warning)
+        lost = not all(map(math.isfinite, metrics.values())) and not loop.is_finite(state())
+        stopped = lost or (bool(diverged) and self.stops_on_divergence)
+        at_end = self.step >= self.steps
+        record.evaluation_due = (
+            self.evaluate is not None and not lost and (at_end or self.step % self.evaluate.every == 0)
         )
-        key = loop.training_key(self.seed)
-        if not self.is_finished():
-            record.status = "running"
-        self.write_summary()
-        self.progress.start(training_stage(self.seed), self.steps, self.step)
+        # Before it is evaluated, so that no environment can cost an update.
+        interrupted = interrupted or self.asked_to_stop()
+        if stopped or at_end or interrupted or record.evaluation_due or self.step % self.checkpoint_every == 0:
+            evaluated = at_end and not record.evaluation_due
+            record.status = "diverged" if stopped else "finished" if evaluated else "running"
+            self._lines.sync()
+            self._save(state())
+        if interrupted:
+            raise KeyboardInterrupt(f"seed {self.seed} is saved at update {self.step:,}")
         if record.evaluation_due:
-            self._measure(state, loggers, lines)
-        while self.step < self.steps:
-            stop = self._next_stop()
-            first, last = loop.update_number(self.step), loop.update_number(stop)
-            began = time.perf_counter()
-            with held_back(self._say_that_it_saves) as interrupt:
-                state, reduced = data.train(data.columns, key, first, last, state)
-                interrupt.wait_for(reduced)
-                metrics = {name: float(value) for name, value in jax.device_get(reduced).items()}
-            took = time.perf_counter() - began
-            _add(seconds, "train", took)
-            timing = {"time/updates_per_second": (stop - self.step) / took}
-            self.step = stop
-            timing["time/seconds"] = time.perf_counter() - self.began
-            for logger in loggers:
-                logger.log(stop, {**metrics, **timing})
-            diverged = monitor.observe(stop, metrics)
-            for warning in diverged:
-                self._warn(warning)
-            lost = not all(map(math.isfinite, metrics.values())) and not loop.is_finite(state)
-            stopped = lost or (bool(diverged) and self.stops_on_divergence)
-            at_end = self.step >= self.steps
-            record.evaluation_due = (
-                self.evaluate is not None and not lost and (at_end or self.step % self.evaluate.every == 0)
+            self._measure(state())
+        self.progress.advance(self.step)
+        if lost:
+            first = next(warning for warning in record.warnings if warning.kind == "not-finite")
+            raise DivergenceError(
+                f"{self.directory}: after update {self.step:,} the parameters are not finite numbers, and nothing "
+                "can be learned from there. Earlier checkpoints are sound; train again into another directory. "
+                f"{first.message}"
             )
-            # Before it is evaluated, so that no environment can cost an update.
-            interrupted = interrupt.came or self.asked_to_stop()
-            if stopped or at_end or interrupted or record.evaluation_due or self.step % self.checkpoint_every == 0:
-                evaluated = at_end and not record.evaluation_due
-                record.status = "diverged" if stopped else "finished" if evaluated else "running"
-                lines.sync()
-                self._save(state)
-            if interrupted:
-                raise KeyboardInterrupt(f"seed {self.seed} is saved at update {self.step:,}")
-            if record.evaluation_due:
-                self._measure(state, loggers, lines)
-            self.progress.advance(self.step)
-            if lost:
-                first = next(warning for warning in record.warnings if warning.kind == "not-finite")
-                raise DivergenceError(
-                    f"{self.directory}: after update {self.step:,} the parameters are not finite numbers, and nothing "
-                    "can be learned from there. Earlier checkpoints are sound; train again into another directory. "
-                    f"{first.message}"
-                )
-            if stopped:
-                raise DivergenceError(
-                    f"{self.directory}: {diverged[0].message} The state was saved at step {self.step}; "
-                    f"`odaf resume {run.path} --on-divergence warn` goes on regardless."
-                )
+        if stopped:
+            raise DivergenceError(
+                f"{self.directory}: {diverged[0].message} The state was saved at step {self.step}; "
+                f"`odaf resume {self.run.path} --on-divergence warn` goes on regardless."
+            )
 
     def _say_that_it_saves(self) -> None:
         self.progress.message(f"seed {self.seed}: stopping; saves after this stretch (Ctrl-C again: stops at once)")
 
-    def _next_stop(self) -> int:
+    def next_stop(self) -> int:
+        """Where the next compiled call has to end."""
         intervals = [self.stretch, self.checkpoint_every]
         if self.evaluate is not None:
             intervals.append(self.evaluate.every)
         return min(self.steps, *((self.step // interval + 1) * interval for interval in intervals))
 
-    def _measure(self, state: Any, loggers: Sequence[Logger], lines: JsonLines) -> None:
+    def _measure(self, state: Any) -> None:
         """Evaluates the state that was just saved, and adds what was found to its checkpoint."""
         assert self.evaluate is not None and self.checkpoint is not None
         began, record = time.perf_counter(), self.record
@@ -254,9 +288,9 @@ class SeedTraining:
         record.evaluation, record.evaluation_due = {"step": self.step, **found.summary}, False
         if self.step >= self.steps and record.status != "diverged":
             record.status = "finished"
-        for logger in loggers:
+        for logger in self._loggers:
             logger.log(self.step, found.metrics)
-        lines.sync()
+        self._lines.sync()
         record.seconds["total"] = time.perf_counter() - self.began
         checkpoints.rewrite_record(self.checkpoint, {"summary": self._summary()})
         self.write_summary()

@@ -27,7 +27,8 @@ _PRECISIONS: dict[str | None, Precision] = {
 }  # fmt: skip
 # A run's directory belongs to these; the rest only says how the machine is shared, or what a warning leads to.
 _COMPARED = (
-    "steps", "seeds", "evaluate", "checkpoint_every", "keep_checkpoints", "stretch", "cores", "device", "precision"
+    "steps", "seeds", "evaluate", "checkpoint_every", "keep_checkpoints", "stretch", "lanes", "cores", "device",
+    "precision",
 )  # fmt: skip
 
 
@@ -66,6 +67,9 @@ class RunSettings:
     workers: int | None = None
     """Processes that train seeds side by side; 1 trains them one after another. Without it, Python takes 1, and the
     command line one for each seed up to what the cores allow, or 1 beside an accelerator."""
+    lanes: int | None = None
+    """Trainings (seeds, settings, data sets) in one compiled program; the bits of a run belong to their number. 1
+    trains each alone. Without it, 1 on a processor, and on an accelerator all, or as many as its memory holds."""
     cores: int | None = None
     """Processor cores that the training of a seed is laid out for; the bits of a run belong to their number. Without
     it, each worker's share of the cores, and for a run that is gone on with the number it was begun with."""
@@ -78,7 +82,8 @@ class RunSettings:
         object.__setattr__(self, "seeds", tuple(int(seed) for seed in self.seeds))
         if self.keep_checkpoints != "all":
             object.__setattr__(self, "keep_checkpoints", tuple(map(int, self.keep_checkpoints)))
-        counts = {name: getattr(self, name) for name in ("steps", "checkpoint_every", "stretch", "workers", "cores")}
+        names = ("steps", "checkpoint_every", "stretch", "workers", "lanes", "cores")
+        counts = {name: getattr(self, name) for name in names}
         if self.evaluate is not None:
             counts["evaluate.every"] = self.evaluate.every
         for name, value in counts.items():
@@ -126,13 +131,17 @@ class RunSettings:
         Args:
             recorded: `config.json` of the run that is gone on with, if there is one; it fills what is open first.
         """
-        known = {name: recorded.get(name) for name in ("workers", "cores", "device", "precision")} if recorded else {}
-        workers = self.workers or known.get("workers") or 1
+        names = ("workers", "lanes", "cores", "device", "precision")
+        known = {name: recorded.get(name) for name in names} if recorded else {}
+        lanes = self.lanes or known.get("lanes") or (1 if recorded else default_lanes(len(self.seeds)))
+        workers = (self.workers or known.get("workers") or 1) if lanes == 1 else 1
         processes = min(workers, len(self.seeds))
         cores = self.cores or known.get("cores") or max(1, usable_cores() // processes)
         device = self.device or known.get("device") or jax.default_backend()
         precision = self.precision or known.get("precision")
-        return replace(self, workers=workers, cores=cores, device=device, precision=precision or _precision_now())
+        return replace(
+            self, workers=workers, lanes=lanes, cores=cores, device=device, precision=precision or _precision_now()
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Plain JSON types, as they stand in `config.json`."""
@@ -156,6 +165,11 @@ class RunSettings:
         if isinstance(keep := values.get("keep_checkpoints"), list):
             values["keep_checkpoints"] = tuple(keep)
         return cls(**values)
+
+
+def default_lanes(trainings: int) -> int:
+    """Lanes of the program when nobody says: all trainings beside an accelerator, one on a processor."""
+    return 1 if jax.default_backend() == "cpu" else trainings
 
 
 def products_in(precision: Precision | None) -> contextlib.AbstractContextManager[object]:
@@ -185,6 +199,7 @@ class SettingChanges(TypedDict, total=False):
     stretch: int
     on_divergence: OnDivergence
     workers: int | None
+    lanes: int | None
     cores: int | None
     device: Device | None
     precision: Precision | None
@@ -198,7 +213,7 @@ def differences(old: Mapping[str, Any], new: Mapping[str, Any], more: Iterable[s
         new: the same of what was asked for.
         more: further fields to compare.
     """
-    names = [*more, *_COMPARED]
+    names, old = [*more, *_COMPARED], {"lanes": 1, **old}  # a run from before there were lanes
     return {name: _difference(name, old.get(name), new.get(name)) for name in names if old.get(name) != new.get(name)}
 
 

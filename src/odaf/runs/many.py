@@ -1,0 +1,176 @@
+"""Several runs at once: every combination of data sets and settings, each a run of its own with all its seeds.
+
+Runs whose learners differ in numbers alone become lanes of one compiled program where that is asked for, or where there
+is an accelerator; elsewhere one run follows the other, each with its workers.
+"""
+
+import contextlib
+import itertools
+import os
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Unpack
+
+from odaf.algorithms import config
+from odaf.algorithms.base import Algorithm
+from odaf.data.dataset import Dataset
+from odaf.errors import ConfigError
+from odaf.evaluation.runs import Run
+from odaf.runs import fit as single
+from odaf.training.fit import open_run
+from odaf.training.lanes import Lane, program_of, train_in_lanes
+from odaf.training.logging import Logger
+from odaf.training.progress import ProgressReport, default_progress
+from odaf.training.settings import RunSettings, SettingChanges, default_lanes, products_in
+
+
+@dataclass(frozen=True)
+class Plan:
+    """One run among several.
+
+    Attributes:
+        algorithm: the learner's settings.
+        dataset: logged data. Runs that share one object share its place on the device.
+        directory: where the run is written.
+        preset: name under which the learner's settings are known.
+        data_path: the file that `dataset` was read from.
+    """
+
+    algorithm: Algorithm
+    dataset: Dataset
+    directory: Path
+    preset: str | None = None
+    data_path: Path | None = None
+
+
+def combinations(
+    algorithm: Algorithm,
+    data: Sequence[str | os.PathLike[str]],
+    values: Mapping[str, Sequence[Any]],
+    directory: str | os.PathLike[str],
+    preset: str | None = None,
+) -> list[Plan]:
+    """A run for each combination of data sets and values of settings, in a folder named by what sets it apart.
+
+    Args:
+        algorithm: the learner that the values change.
+        data: files of data sets.
+        values: for each setting by its dotted name, such as `outcome.weight`, the values it takes.
+        directory: the folder of all runs; where there is one combination alone, its run itself.
+        preset: name under which the learner's settings are known.
+
+    Raises:
+        ConfigError: a setting does not exist, a value is of the wrong type, or two combinations are the same.
+        DatasetError: a file cannot be read.
+    """
+    paths, folder = [Path(file) for file in data], Path(directory)
+    if len({path.resolve() for path in paths}) < len(paths):
+        raise ConfigError(f"data: a file is named twice: {', '.join(map(str, paths))}")
+    names = [path.stem if _stems_differ(paths) else re.sub(r"[\\/]+", "-", str(path.with_suffix(""))) for path in paths]
+    sets = [Dataset.load(path) for path in paths]
+    found: dict[Path, Plan] = {}
+    for place, chosen in itertools.product(range(len(paths)), itertools.product(*values.values())):
+        settings = dict(zip(values, chosen, strict=True))
+        parts = [names[place]] if len(paths) > 1 else []
+        parts += [f"{name}={_word(value)}" for name, value in settings.items() if len(values[name]) > 1]
+        where = folder / ",".join(parts) if parts else folder
+        if where in found:
+            raise ConfigError(f"set: two runs would be written to {where}; give every value once")
+        learner = config.replace(algorithm, settings, "set") if settings else algorithm
+        found[where] = Plan(learner, sets[place], where, preset, paths[place])
+    return list(found.values())
+
+
+def fit_many(
+    runs: Sequence[Plan],
+    *,
+    settings: RunSettings | None = None,
+    progress: bool | ProgressReport = True,
+    loggers: Sequence[Logger] = (),
+    **changes: Unpack[SettingChanges],
+) -> list[Run]:
+    """Trains every run with all its seeds; the same call again goes on where it was stopped.
+
+    Each run is as if it had been trained alone: its own directory, checkpoints, metrics, warnings and evaluations, and
+    `odaf resume` goes on with one of them. With lanes, one that diverges stops alone.
+
+    Args:
+        runs: of `combinations`, or made by hand.
+        settings: how every run is to go.
+        progress: whether to show a progress bar.
+        loggers: receivers of metrics; each training has a copy.
+        **changes: fields of `RunSettings` by name; they go before those in `settings`.
+
+    Raises:
+        ConfigError: as `odaf.fit`.
+        DivergenceError: as `odaf.fit`, of the first training that diverged; the others are brought to their ends first.
+    """
+    settings = (settings or RunSettings()).with_changes(dict(changes))
+    report = default_progress(progress)
+    programs: dict[Any, list[Plan]] = {}
+    for plan in runs:
+        programs.setdefault(program_of(plan.algorithm, plan.dataset), []).append(plan)
+    wanted = settings.lanes or default_lanes(len(runs) * len(settings.seeds))
+    done: dict[Path, Run] = {}
+    for number, together in enumerate(programs.values(), 1):
+        lanes = min(wanted, len(together) * len(settings.seeds))
+        if len(programs) > 1 and wanted > 1:
+            report.message(
+                f"program {number} of {len(programs)}: {', '.join(str(plan.directory) for plan in together)}"
+            )
+        if lanes > 1:
+            done |= _in_lanes(together, replace(settings, lanes=lanes), report, loggers)
+            continue
+        for plan in together:
+            done[plan.directory] = single.fit(
+                plan.algorithm,
+                plan.dataset,
+                directory=plan.directory,
+                settings=replace(settings, lanes=1),
+                progress=report,
+                preset=plan.preset,
+                data_path=plan.data_path,
+                loggers=loggers,
+            )
+    return [done[plan.directory] for plan in runs]
+
+
+def _in_lanes(
+    runs: Sequence[Plan], settings: RunSettings, report: ProgressReport, loggers: Sequence[Logger]
+) -> dict[Path, Run]:
+    lanes: list[Lane] = []
+    found: dict[Path, Run] = {}
+    with contextlib.ExitStack() as stack:
+        for plan in runs:
+            own = single.resolved(settings, plan.directory)
+            evaluator = single.evaluator_for(own, plan.dataset)
+            stack.callback(single.close, evaluator)
+            opened = open_run(
+                plan.algorithm,
+                plan.dataset,
+                directory=plan.directory,
+                settings=replace(own, evaluate=evaluator),
+                report=report,
+                preset=plan.preset,
+                data_path=plan.data_path,
+            )
+            run, seeds = stack.enter_context(opened)
+            found[plan.directory] = Run(run)
+            lanes += [Lane(seed, plan.dataset) for seed in seeds]
+        stack.callback(report.close)
+        if lanes:
+            with products_in(lanes[0].seed.run.config["precision"]):
+                train_in_lanes(lanes, settings.lanes or 1, loggers, report)
+    return found
+
+
+def _stems_differ(paths: Sequence[Path]) -> bool:
+    return len({path.stem for path in paths}) == len(paths)
+
+
+def _word(value: Any) -> str:
+    """A value as part of a folder's name."""
+    text = "x".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
+    return re.sub(r"[^\w.+-]+", "_", text)

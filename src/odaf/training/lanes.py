@@ -1,0 +1,223 @@
+"""Many trainings in one compiled program, each a run's seed in its own files, as if it were alone.
+
+Lanes of one program have one structure: the same learner but for its traced numbers, the same sizes, the same course of
+updates, checkpoints and evaluations. They differ in seed, in numbers, and in the data set they draw from.
+
+The program has a fixed number of lanes. Where fewer are left to train, the rest repeat the first one, so that a
+training that is gone on with meets the program it was begun in, and keeps its bits, whoever is trained beside it.
+"""
+
+import contextlib
+import copy
+import functools
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from odaf.algorithms.base import Algorithm
+from odaf.algorithms.numbers import split
+from odaf.data.dataset import Dataset
+from odaf.data.sampling import Columns, training_column_shapes, training_columns
+from odaf.data.transitions import Transitions
+from odaf.errors import ConfigError, OdafError
+from odaf.training import loop, run_directory
+from odaf.training.combined_progress import CombinedProgress, SeedReport
+from odaf.training.interrupts import held_back
+from odaf.training.logging import Logger
+from odaf.training.memory import give_back_freed_memory
+from odaf.training.progress import ProgressReport
+from odaf.training.seeds import SeedTraining
+
+# Share of an accelerator's memory that a program may take.
+_SHARE_OF_MEMORY = 0.9
+
+
+@dataclass(frozen=True)
+class Lane:
+    """One training: a seed of a run, and the data it learns from."""
+
+    seed: SeedTraining
+    dataset: Dataset
+
+    @property
+    def name(self) -> str:
+        """What the user knows it by."""
+        return f"{self.seed.run.path}, seed {self.seed.seed}"
+
+
+def program_of(algorithm: Algorithm, dataset: Dataset) -> tuple[Any, ...]:
+    """What decides the compiled program of a training; trainings that agree in it can be lanes of one."""
+    structure = split(algorithm)[0]
+    # Where batches are mixed from two parts, the border between them is part of the program.
+    mixed = None if dataset.mixture is None else (id(dataset), algorithm.view())
+    return structure, dataset.obs_dim, dataset.act_dim, mixed
+
+
+def train_in_lanes(lanes: Sequence[Lane], width: int, loggers: Sequence[Logger], report: ProgressReport) -> None:
+    """Trains all of them to their ends, `width` at a time.
+
+    A lane that diverges or fails lets the others go on; then its error is raised.
+
+    Args:
+        lanes: of one program, see `program_of`, and of runs with the same settings.
+        width: lanes of the program.
+        loggers: receivers of metrics; each lane has a copy.
+        report: where progress is shown.
+
+    Raises:
+        DivergenceError: as `odaf.training.fit.fit`, of the first lane that diverged.
+        KeyboardInterrupt: somebody pressed Ctrl-C; all lanes are saved first.
+    """
+    report.start(f"{len(lanes)} lanes: compiling", 0)
+    program = _Program(lanes, width)
+    parts = [lanes[start : start + program.width] for start in range(0, len(lanes), program.width)]
+    if len(parts) > 1:
+        report.message(f"{len(lanes)} trainings take turns in a program of {program.width} lanes")
+    failures: list[OdafError] = []
+    for part in parts:
+        failures += _train(part, program, loggers, report)
+    if failures:
+        raise failures[0]
+
+
+class _Program:
+    """The compiled training, and the rows of all data sets that its lanes draw from."""
+
+    def __init__(self, lanes: Sequence[Lane], width: int):
+        learner, spec = lanes[0].seed.run.algorithm, lanes[0].seed.run.spec
+        sources: dict[Any, Lane] = {}
+        for lane in lanes:
+            sources.setdefault(_source(lane), lane)
+        self._places = {source: index for index, source in enumerate(sources)}
+        began = time.perf_counter()
+        shapes = [training_column_shapes(lane.dataset, lane.seed.run.algorithm.view()) for lane in sources.values()]
+        together = shapes[0] if len(shapes) == 1 else jax.eval_shape(_joined, shapes)
+        state = run_directory.blank_state(learner, spec)
+        self.width, self.train = _that_fits(
+            lambda lanes: loop.compiled_lanes(learner, together, len(shapes) > 1, state, lanes), width
+        )
+        give_back_freed_memory()
+        self.compile_seconds = time.perf_counter() - began
+        columns = [
+            training_columns(lane.dataset, lane.seed.run.normaliser, lane.seed.run.algorithm.view())
+            for lane in sources.values()
+        ]
+        self._rows = [_rows(each) for each in columns]
+        self.columns = columns[0] if len(columns) == 1 else jax.block_until_ready(jax.jit(_joined)(columns))
+
+    def filled(self, lanes: Sequence[Any]) -> list[Any]:
+        """As many as the program has lanes: the first one again for those that are missing."""
+        return [*lanes, *[lanes[0]] * (self.width - len(lanes))]
+
+    def slabs(self, lanes: Sequence[Lane]) -> loop.Slabs | None:
+        """Where each lane's rows lie."""
+        if len(self._rows) == 1:
+            return None
+        places = [self._places[_source(lane)] for lane in lanes]
+        firsts = [sum(self._rows[:place]) for place in places]
+        return jnp.asarray(firsts, jnp.int32), jnp.asarray([self._rows[place] for place in places], jnp.int32)
+
+
+def _train(
+    lanes: Sequence[Lane], program: _Program, loggers: Sequence[Logger], report: ProgressReport
+) -> list[OdafError]:
+    """Trains one lane or several, at most as many as the program has; returns what went wrong with some of them."""
+    seeds = [lane.seed for lane in lanes]
+    places, failures = range(len(seeds)), []
+    combined = CombinedProgress(
+        {place: seed.step for place, seed in enumerate(seeds)}, seeds[0].steps, report, f"{len(seeds)} lanes"
+    )
+    for place, lane in enumerate(lanes):
+        lane.seed.progress = SeedReport(place, combined.receive, str(lane.seed.run.path))
+    all_lanes = program.filled(lanes)
+    _, numbers = loop.split_lanes([lane.seed.run.algorithm for lane in all_lanes])
+    slabs = program.slabs(all_lanes)
+    keys = jnp.stack([loop.training_key(lane.seed.seed) for lane in all_lanes])
+    told = functools.partial(report.message, "stopping; lanes save after this stretch (Ctrl-C again: stops at once)")
+    with contextlib.ExitStack() as stack:
+        begun = []
+        for lane in lanes:
+            own = [copy.deepcopy(logger) for logger in loggers]
+            begun.append(stack.enter_context(lane.seed.opened(lane.dataset, program.compile_seconds, own)))
+        states = loop.stacked(program.filled(begun))
+        begun.clear()
+        going = [place for place in places if seeds[place].step < seeds[place].steps]
+        interrupted = False
+        while going and not interrupted:
+            step = min(seeds[place].step for place in going)  # who was stopped earlier catches up first
+            moving = [place for place in going if seeds[place].step == step]
+            stop = min(seeds[place].next_stop() for place in moving)
+            kept = None if len(moving) == len(going) else jax.tree.map(jnp.copy, states)
+            first, last = loop.update_number(step), loop.update_number(stop)
+            began = time.perf_counter()
+            with held_back(told) as interrupt:
+                states, reduced = program.train(numbers, program.columns, slabs, keys, first, last, states)
+                interrupt.wait_for(reduced)
+                metrics = jax.device_get(reduced)
+            took = time.perf_counter() - began
+            if kept is not None:
+                states = _merged(states, kept, [place in moving for place in range(program.width)])
+            for place in moving:
+                own = {name: float(values[place]) for name, values in metrics.items()}
+                try:
+                    seeds[place].trained_to(
+                        stop, own, took, functools.partial(loop.lane, states, place), interrupt.came
+                    )
+                except KeyboardInterrupt:
+                    interrupted = True
+                except OdafError as error:
+                    report.message(f"{lanes[place].name}: {error}")
+                    failures.append(error)
+                    going.remove(place)
+            going = [place for place in going if seeds[place].step < seeds[place].steps]
+        if interrupted:
+            raise KeyboardInterrupt(f"{len(going)} lanes are saved at update {min(seed.step for seed in seeds):,}")
+    return failures
+
+
+def _that_fits(compile_for: Callable[[int], Any], width: int) -> tuple[int, Any]:
+    """(lanes, program) with at most `width` lanes, halved until an accelerator's memory holds it."""
+    limit = (jax.devices()[0].memory_stats() or {}).get("bytes_limit")
+    while True:
+        program = compile_for(width)
+        needs = program.memory_analysis()
+        if limit is None or needs is None:
+            return width, program
+        needed = needs.argument_size_in_bytes + needs.output_size_in_bytes + needs.temp_size_in_bytes
+        needed -= needs.alias_size_in_bytes
+        if needed <= _SHARE_OF_MEMORY * limit:
+            return width, program
+        if width == 1:
+            raise ConfigError(
+                f"a training needs {needed / 1e9:.1f} GB, and the device has {limit / 1e9:.1f}; take a smaller batch "
+                "or fewer critics"
+            )
+        width = (width + 1) // 2
+
+
+def _source(lane: Lane) -> tuple[Any, ...]:
+    """What decides which rows a lane sees."""
+    return id(lane.dataset), lane.seed.run.algorithm.view()
+
+
+def _rows(columns: Columns) -> int:
+    return columns.rewards.shape[0] if isinstance(columns, Transitions) else 0
+
+
+def _joined(columns: Sequence[Any]) -> Any:
+    return jax.tree.map(lambda *parts: jnp.concatenate(parts), *columns)
+
+
+def _merged(after: Any, before: Any, moved: Sequence[bool]) -> Any:
+    """`after` for the lanes that moved, `before` for the others."""
+    which = jnp.asarray(moved)
+
+    def chosen(new: jax.Array, old: jax.Array) -> jax.Array:
+        mask = which.reshape(-1, *[1] * (new.ndim - 1))
+        return jnp.where(mask, new, old)
+
+    return jax.tree.map(chosen, after, before)
