@@ -225,3 +225,10 @@ def test_a_learner_without_terms_says_so():
 def test_a_configuration_that_cannot_be_built_is_explained(fields, message):
     with pytest.raises(ConfigError, match=message):
         config.from_dict(fields, "FILE")
+
+
+def test_the_word_none_stands_for_no_value_where_there_may_be_none():
+    changes = {"outcome.num_states": "none", "critic_norm": "none"}
+    learner = config.replace(EnsembleSAC(terms=(OutcomePenalty(num_states=8),)), changes)
+    assert isinstance(learner, EnsembleSAC) and learner.critic_norm == "none"
+    assert getattr(learner.terms[0], "num_states", 0) is None

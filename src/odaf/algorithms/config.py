@@ -120,7 +120,7 @@ def _checked(value: Any, hint: Any, source: str, where: str) -> Any:
     """The value in the field's type; lists become tuples and whole numbers become floats where asked for."""
     origin, arguments = get_origin(hint), get_args(hint)
     if origin in (Union, types.UnionType):
-        if value is None and type(None) in arguments:
+        if value in (None, "none") and type(None) in arguments:  # TOML has no word for it
             return None
         return _first_that_fits(value, [a for a in arguments if a is not type(None)], hint, source, where)
     if origin is Literal and value in arguments and not isinstance(value, bool):

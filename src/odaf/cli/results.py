@@ -1,7 +1,7 @@
 """How results are printed: plain tables that a terminal, a file and a person can read."""
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
