@@ -61,6 +61,14 @@ def _is_picture(path: Path) -> bool:
     return start.startswith(b"\x89PNG") if path.suffix == ".png" else b"<svg" in start
 
 
+def _starts_with(words: bytes) -> Callable[[Path], bool]:
+    def earlier(path: Path) -> bool:
+        with open(path, "rb") as file:
+            return file.read(len(words)) == words
+
+    return earlier
+
+
 def _is_json_with(*fields: str) -> Callable[[Path], bool]:
     def earlier(path: Path) -> bool:
         try:
@@ -77,6 +85,9 @@ D4RL = Kind("a D4RL file that odaf wrote", _is_d4rl_of_ours)
 MINARI = Kind("a Minari folder", lambda path: (path / "data" / "metadata.json").is_file(), folder=True)
 PAGE = Kind("a page that odaf made", _is_page, makes_parents=True)
 PICTURE = Kind("a picture of its format", _is_picture, makes_parents=True)
+TABLE_CSV = Kind("a table of `odaf report`", _starts_with(b"name,preset,directory,"), makes_parents=True, streams=True)
+TABLE_JSON = Kind("a table of `odaf report`", _is_json_with("table", "statistic"), makes_parents=True, streams=True)
+TABLE_LATEX = Kind("a table of `odaf report`", _starts_with(b"% Table made by odaf"), makes_parents=True, streams=True)
 DEMO_SUMMARY = Kind("a summary of `odaf demo`", _is_json_with("dataset", "methods"))
 CHECK_REPORT = Kind("a report of `odaf data check`", _is_json_with("usable", "findings"), streams=True)
 SCORES = Kind("scores of `odaf evaluate`", _is_json_with("seeds", "mean_return"), streams=True)
