@@ -121,7 +121,7 @@ def test_pages_that_code_names_are_there():
     assert named > 20
 
 
-def test_the_maze_on_the_data_page_can_be_recorded():
-    (_, text), *_ = blocks(ROOT / "docs" / "reference" / "data.md", "json")
+def test_the_maze_on_the_page_can_be_recorded():
+    (_, text), *_ = blocks(ROOT / "docs" / "how-to" / "record-data.md", "json")
     config = stitch_data.StitchConfig.from_dict(json.loads(text))
     assert sum(route.repeats for route in config.routes) == 200

@@ -56,7 +56,7 @@ class GenerateOptions:
     """The same seed records the same data."""
     maze: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE")] = None
     """pointmaze only: a known maze, or a JSON file with a map, its start and goal, and the routes to record (see
-    docs/reference/data.md); without it, stitch."""
+    docs/how-to/record-data.md); without it, stitch."""
     repeats: Annotated[int | None, tyro.conf.arg(metavar="INT")] = None
     """pointmaze only: episodes of each route; without it, the number that belongs to the maze."""
     transitions: Annotated[int | None, tyro.conf.arg(metavar="INT")] = None
@@ -244,5 +244,5 @@ def _config(maze: str) -> "StitchConfig":
     except (ValueError, TypeError, KeyError, AttributeError) as error:
         raise ConfigError(
             f"{path}: does not describe a maze with its routes ({error}); compare it with the example in "
-            "docs/reference/data.md"
+            "docs/how-to/record-data.md"
         ) from error
