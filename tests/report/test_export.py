@@ -86,7 +86,7 @@ def test_latex_table_has_one_column_for_each_cell_and_says_what_its_numbers_are(
     caption = re.search(r"\\caption\{(.*)\}\n", text)
     assert caption is not None
     for words in (
-        r"50 \% of \{Hopper\}; Mean return at the last checkpoint over 1 to 2 seeds",
+        r"50 \% of \{Hopper\}. Mean return at the last checkpoint over 1 to 2 seeds",
         "Student's t over the seeds' means",
         r"$\pm$ is the standard deviation over the episodes of one seed",
         "1 to 4 episodes a run; normalised scores in Hopper-v5",

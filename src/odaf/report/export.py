@@ -205,8 +205,8 @@ def _as_latex(runs: Sequence[RunRecord], scores: Sequence[Score], title: str | N
 def _caption(runs: Sequence[RunRecord], scores: Sequence[Score], seeds: Sequence[int], title: str | None) -> str:
     """What the numbers are: statistic, seeds, episodes, environments of normalised scores, origin of the data."""
     number = f"{seeds[0]} seed{'s' if seeds[0] != 1 else ''}" if len(seeds) == 1 else f"{seeds[0]} to {seeds[-1]} seeds"
-    told = [] if title is None else [title.rstrip(".")]
-    told.append(f"Mean return at the last checkpoint over {number}")
+    begin = "" if title is None else f"{title.rstrip('.')}. "
+    told = [f"{begin}Mean return at the last checkpoint over {number}"]
     if any(entry.interval for entry in scores):
         told.append("the interval is Student's t over the seeds' means")
     if any(entry.interval is None and entry.mean is not None for entry in scores):
