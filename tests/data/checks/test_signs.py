@@ -9,6 +9,7 @@ import pytest
 from data.checks import healthy
 from odaf.data.checks import Finding, Report, check_log
 from odaf.data.checks.sample import ROWS, Sampler
+from odaf.data.checks.signs.lonely_episodes import _apart_from
 from odaf.data.checks.stream import blocks
 from odaf.data.checks.structure import examine
 from odaf.data.log import Log
@@ -216,6 +217,27 @@ def test_an_episode_where_no_other_went():
     finding = only(report_on(columns), "lonely-episode")
     assert (finding.count, finding.rows) == (1, (700,))
     assert "x0" in finding.message
+
+
+@pytest.mark.parametrize(("by", "found"), [(0.3, True), (0.05, False)])
+def test_an_episode_not_far_away_is_lonely_where_nothing_lies_between(by: float, found: bool):
+    """All others stay close together, so less than a spread is far."""
+    rng = np.random.default_rng(0)
+    columns = plant()
+    columns["observations"] = rng.uniform(-1.7, 1.7, columns["observations"].shape)
+    away = columns["episode"] == 7
+    columns["observations"][away] = 1.7 + 2 * by + 0.1 * rng.uniform(-1, 1, (int(away.sum()), 2))
+    assert ("lonely-episode" in warnings(report_on(columns))) == found
+
+
+def test_where_episodes_stand_apart():
+    """From the first gap on, and only if those beyond it are few and not near."""
+    crowd = np.linspace(0.01, 0.05, 40)
+    assert _apart_from(np.append(crowd, 0.5)) == 0.5
+    assert _apart_from(np.append(crowd, [0.5, 0.7, 0.6])) == 0.5
+    assert _apart_from(np.append(crowd, 0.2)) == np.inf
+    assert _apart_from(np.append(crowd, [0.3, 0.2, 0.1])) == np.inf
+    assert _apart_from(np.append(crowd, np.full(10, 0.5))) == np.inf
 
 
 def test_one_long_episode_is_not_lonely():

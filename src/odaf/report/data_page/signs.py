@@ -133,12 +133,12 @@ def dots(
 def draw_effects(axes: Axes, palette: Palette, sign: Effects, chosen: list[int]) -> None:
     """Correlations by lag, a line for each action, over the band of chance."""
     lags = np.arange(len(sign.strength))
-    axes.axhspan(0, sign.noise, color=palette.grid, linewidth=0)
+    axes.axhspan(0, sign.quiet, color=palette.grid, linewidth=0)
     for place, action in enumerate(chosen):
         axes.plot(
             lags, sign.strength[:, action], color=palette.method(place), linewidth=1.4, marker="o", markersize=2.5
         )
-    axes.set_ylim(0, max(1.1 * float(sign.strength[:, chosen].max()), 2 * sign.noise))
+    axes.set_ylim(0, max(1.1 * float(sign.strength[:, chosen].max()), 2 * sign.quiet))
     axes.set_xlabel("rows later", fontsize=8)
     axes.set_ylabel("correlation", fontsize=8)
     style_axes(axes, palette)

@@ -16,6 +16,8 @@ FREE = 0.003
 that they do not change themselves."""
 SEEN, CLEAR = 5.0, 8.0
 """Correlations are noise below the one, an effect above the other, in units of one over the root of the rows."""
+QUIET = 1.2
+"""An action changes nothing below so many times the noise, since the largest of many correlations counts."""
 WEAK, FIRST = 0.25, 0.5
 """Before a dead time is over, effects are below the one share of the strongest; it is over at the other."""
 MOST_COLUMNS = 64
@@ -51,6 +53,11 @@ class Effects:
         """[actions] whether anything can be said."""
         return self.free > FREE
 
+    @property
+    def quiet(self) -> float:
+        """What the strongest correlation of an action that changes nothing stays below."""
+        return QUIET * self.noise
+
     def dead_time(self, action: int) -> int:
         """Rows until the action first changes something; 0 where it does at once, or nothing is seen of it."""
         course = self.strength[:, action]
@@ -66,7 +73,7 @@ class Effects:
         """Whether the action could have shown an effect, and showed none."""
         return bool(
             self.judged[action]
-            and self.strength[:, action].max() < self.noise
+            and self.strength[:, action].max() < self.quiet
             and self.curved[action] < 1.3 * self.noise
         )
 
@@ -95,7 +102,7 @@ class Effects:
                 Finding(
                     "no-effect", "warning", "actions", self.rows, self.shown,
                     f"nothing that was observed depends on {names}, neither at once nor within {len(self.strength)} "
-                    f"rows (correlations below {self.noise:.2g} over {self.rows:,} rows){self.share}",
+                    f"rows (correlations below {self.quiet:.2g} over {self.rows:,} rows){self.share}",
                     "check that the column is what really acted (a set point that was overridden, another unit's "
                     "actuator), that its rows belong to these observations, and that what it changes is observed",
                 )

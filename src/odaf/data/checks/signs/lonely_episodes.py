@@ -14,6 +14,8 @@ FAR = 4.0
 """How much farther from all others an episode lies than nine tenths of the episodes do."""
 LEAST = 0.9
 """The distance itself, for each column, in units of its spread."""
+APART, LEAST_APART = 8.0, 0.25
+"""The same where nothing lies between: so many times as far as the next episode, at a smaller distance."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +72,7 @@ def find(sample: Sample) -> LonelyEpisodes | None:
     for number, part in zip(group[rows[np.append(0, borders)]], np.split(own, borders), strict=True):
         middle[number] = np.median(part)
     usual = float(np.quantile(middle, 0.9))
-    lonely = np.flatnonzero((middle > FAR * usual) & (middle > LEAST))
+    lonely = np.flatnonzero(((middle > FAR * usual) & (middle > LEAST)) | (middle >= _apart_from(middle)))
     if not len(lonely) or len(lonely) > 0.1 * len(episodes):
         return None
     worst = int(lonely[np.argmax(middle[lonely])])
@@ -82,6 +84,14 @@ def find(sample: Sample) -> LonelyEpisodes | None:
         tuple(int(row) for row in firsts), len(episodes), float(middle[worst]), usual,
         sample.observations[shown][:, list(columns)], columns, np.isin(group[shown], lonely), sample.share,
     )  # fmt: skip
+
+
+def _apart_from(middle: np.ndarray) -> float:
+    """The distance from which on a few episodes stand apart from the rest, with nothing in between; else infinite."""
+    ascending = np.sort(middle)
+    upper = np.arange(len(middle) - max(1, len(middle) // 10), len(middle))
+    alone = (ascending[upper] > APART * ascending[upper - 1]) & (ascending[upper] > LEAST_APART)
+    return float(ascending[upper[np.argmax(alone)]]) if alone.any() else np.inf
 
 
 def _columns(sample: Sample, chosen: np.ndarray) -> tuple[int, int]:
