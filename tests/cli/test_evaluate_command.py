@@ -1,6 +1,7 @@
 """`odaf evaluate` under attack and with knocks, on policies that were never trained."""
 
 import json
+import math
 from pathlib import Path
 from typing import get_args
 
@@ -13,6 +14,7 @@ from odaf.cli.evaluate import Attack, Level
 from odaf.environments.knocks import LEVELS
 from odaf.environments.maze import STITCH
 from odaf.evaluation.attacks import ATTACKS
+from odaf.evaluation.scores import Scores, SeedScore
 
 ENVIRONMENT = {"name": "pointmaze", "maze": STITCH.to_dict(), "steps": 6}
 
@@ -84,3 +86,14 @@ def test_options_that_do_not_fit_are_explained(
     captured = capsys.readouterr()
     assert named in captured.err and len(captured.err.splitlines()) == 1
     assert captured.out == ""
+
+
+def test_scores_without_a_mean_are_said_and_no_number_is_printed(monkeypatch, tmp_path, capsys):
+    broken = SeedScore(0, 5, math.nan, math.nan, {}, (math.nan, math.nan))
+    scores = Scores((broken,), "Hopper-v5", notes=("2 of 2 episodes broke off",))
+    monkeypatch.setattr("odaf.runs.evaluate.evaluate", lambda *_, **__: scores)
+    assert main(["evaluate", str(tmp_path), "--json", str(tmp_path / "scores.json")]) == 0
+    out = capsys.readouterr().out
+    assert "no mean return: every episode of seeds 0 broke off" in out and "2 of 2 episodes broke off" in out
+    assert "nan" not in out
+    assert json.loads((tmp_path / "scores.json").read_text())["seeds"]["0"]["returns"] == [None, None]

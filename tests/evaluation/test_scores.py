@@ -76,4 +76,6 @@ def test_an_episode_that_broke_off_is_no_number_and_counts_in_no_mean():
     (score,) = scores_from({0: summary}, "runs/a").by_seed
     assert score.mean_return == 5.0 and math.isnan(score.returns[1])
     summary["evaluation"] |= {"mean_return": None, "std_return": None, "returns": [None]}
-    assert math.isnan(scores_from({0: summary}, "runs/a").mean)
+    without = scores_from({0: summary, 1: _summary(5.0)}, "runs/a")
+    assert math.isnan(without.mean)
+    assert str(without) == "no mean return: every episode of seeds 0 broke off on a number that is not finite"

@@ -1,5 +1,6 @@
 """`odaf evaluate DIR`: play episodes with the policies of a run, in peace, under attack, or knocked."""
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -122,9 +123,9 @@ def _in_peace(options: EvaluateOptions) -> None:
 
     scores = evaluate(options.directory, **_where(options, _EPISODES))
     print(score_table(scores))
-    if len(scores.by_seed) > 1:
+    if len(scores.by_seed) > 1 or math.isnan(scores.mean):
         print(f"\n{scores}")
-    if (normalised := scores.normalised) is not None:
+    if (normalised := scores.normalised) is not None and not math.isnan(scores.mean):
         print(
             f"\n{normalised['environment']}: normalised score {number(normalised['normalised_score'])} "
             f"(0 random, 100 expert), raw return {number(normalised['mean_return'])}"

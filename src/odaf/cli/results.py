@@ -1,5 +1,6 @@
 """How results are printed: plain tables that a terminal, a file and a person can read."""
 
+import math
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
 
 def number(value: float | None, digits: int = 1) -> str:
     """A number with thousands separators; a dash for what is not known."""
-    return "-" if value is None else f"{value:,.{digits}f}"
+    return "-" if value is None or math.isnan(value) else f"{value:,.{digits}f}"
 
 
 def run_table(summaries: Mapping[int, Mapping[str, Any]]) -> str:

@@ -108,6 +108,11 @@ class Scores:
         }
 
     def __str__(self) -> str:
+        without = [str(score.seed) for score in self.by_seed if not math.isfinite(score.mean_return)]
+        if without:
+            return (
+                f"no mean return: every episode of seeds {', '.join(without)} broke off on a number that is not finite"
+            )
         return f"return {self.estimate()} over {len(self.by_seed)} seeds"
 
 
