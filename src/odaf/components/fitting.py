@@ -19,6 +19,7 @@ import numpy as np
 import optax
 from jaxtyping import Array, Float, Int, Integer, PRNGKeyArray, PyTree
 
+from odaf.components import together
 from odaf.components.adam import adam_step, initial_moments
 from odaf.components.targets import copy_of, polyak
 from odaf.errors import DivergenceError
@@ -147,8 +148,8 @@ def fit(
     done, means, lowest, best, checks_without_gain = 0, {}, math.inf, None, 0
     while done < steps:
         last = min(done + stretch, steps)
-        state, traces = _stretch(
-            recipe, state, fixed, columns, bootstraps, count, numbers, key, _number(done), _number(last)
+        state, traces = together.call(
+            _stretch, recipe, (done, last), state, fixed, columns, bootstraps, count, numbers, key
         )
         means = {name: float(jnp.mean(trace[: last - done])) for name, trace in traces.items()}
         if not np.isfinite(float(traces["loss"][last - done - 1])):
@@ -204,9 +205,9 @@ def _block(function: OfRows, model: Any, columns: Batch, start: Int[Array, ""]) 
     return function(model, tuple(column[rows] for column in columns))
 
 
-@functools.partial(jax.jit, static_argnames="recipe", donate_argnames="state")
 def _stretch(
     recipe: _Recipe,
+    steps: tuple[Int[Array, ""], Int[Array, ""]],
     state: _State,
     fixed: PyTree,
     columns: Batch,
@@ -214,10 +215,9 @@ def _stretch(
     rows: Int[Array, ""],
     numbers: dict[str, Float[Array, ""]],
     key: PRNGKeyArray,
-    first: Int[Array, ""],
-    last: Int[Array, ""],
 ) -> tuple[_State, dict[str, Float[Array, " stretch"]]]:
-    """Steps `first` to `last`, at most a stretch of them, and what the loss and its figures were on the way."""
+    """The steps from the first to the last, at most a stretch of them, and the loss and its figures on the way."""
+    first, last = steps
 
     def batch_of(key: PRNGKeyArray) -> Batch:
         shape = (recipe.batch_size,) if recipe.members is None else (recipe.members, recipe.batch_size)

@@ -20,6 +20,7 @@ import jax.numpy as jnp
 
 from odaf.algorithms.base import Algorithm
 from odaf.algorithms.numbers import split
+from odaf.components.together import run_together
 from odaf.data.dataset import Dataset
 from odaf.data.sampling import Columns, training_column_shapes, training_columns
 from odaf.data.transitions import Transitions
@@ -31,9 +32,12 @@ from odaf.training.logging import Logger
 from odaf.training.memory import give_back_freed_memory
 from odaf.training.progress import ProgressReport
 from odaf.training.seeds import SeedTraining
+from odaf.training.settings import products_in
 
 # Share of an accelerator's memory that a program may take.
 _SHARE_OF_MEMORY = 0.9
+# Side models that are trained together: each has the rows that it learns from, and those may be many.
+_BEGUN_AT_ONCE = 32
 
 
 @dataclass(frozen=True)
@@ -126,13 +130,16 @@ def _train(
     lanes: Sequence[Lane], program: _Program, loggers: Sequence[Logger], report: ProgressReport
 ) -> list[OdafError]:
     """Trains one lane or several, at most as many as the program has; returns what went wrong with some of them."""
-    seeds = [lane.seed for lane in lanes]
-    places, failures = range(len(seeds)), []
     combined = CombinedProgress(
-        {place: seed.step for place, seed in enumerate(seeds)}, seeds[0].steps, report, f"{len(seeds)} lanes"
+        {place: lane.seed.step for place, lane in enumerate(lanes)}, lanes[0].seed.steps, report, f"{len(lanes)} lanes"
     )
     for place, lane in enumerate(lanes):
         lane.seed.progress = SeedReport(place, combined.receive, str(lane.seed.run.path))
+    lanes, failures = _begin(lanes, program.width, report)
+    if not lanes:
+        return failures
+    seeds = [lane.seed for lane in lanes]
+    places = range(len(seeds))
     all_lanes = program.filled(lanes)
     _, numbers = loop.split_lanes([lane.seed.run.algorithm for lane in all_lanes])
     slabs = program.slabs(all_lanes)
@@ -177,6 +184,27 @@ def _train(
         if interrupted:
             raise KeyboardInterrupt(f"{len(going)} lanes are saved at update {min(seed.step for seed in seeds):,}")
     return failures
+
+
+def _begin(lanes: Sequence[Lane], width: int, report: ProgressReport) -> tuple[list[Lane], list[OdafError]]:
+    """Trains the models that are needed beforehand, in lanes too; (the lanes that have them, what went wrong)."""
+    failures: dict[int, OdafError] = {}
+    width = min(width, _BEGUN_AT_ONCE)
+    for start in range(0, len(lanes), width):
+        part = [functools.partial(_begin_one, lane) for lane in lanes[start : start + width]]
+        for place, outcome in enumerate(run_together(part, width), start):
+            if isinstance(outcome, OdafError):
+                report.message(f"{lanes[place].name}: {outcome}")
+                failures[place] = outcome
+            elif isinstance(outcome, Exception):
+                raise outcome
+    return [lane for place, lane in enumerate(lanes) if place not in failures], list(failures.values())
+
+
+def _begin_one(lane: Lane) -> None:
+    # JAX keeps the precision that is set for a block by thread.
+    with products_in(lane.seed.run.config["precision"]):
+        lane.seed.begin(lane.dataset)
 
 
 def _that_fits(compile_for: Callable[[int], Any], width: int) -> tuple[int, Any]:

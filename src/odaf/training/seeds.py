@@ -152,6 +152,16 @@ class SeedTraining:
                     metrics = {name: float(value) for name, value in jax.device_get(reduced).items()}
                 self.trained_to(stop, metrics, time.perf_counter() - began, lambda state=state: state, interrupt.came)
 
+    def begin(self, dataset: Dataset) -> None:
+        """Trains the models that the learner needs beforehand and saves the first state, unless that was done before.
+
+        Raises:
+            DivergenceError: one of these models diverged.
+        """
+        if self.checkpoint is None:
+            self._open_directory()
+            self._first_state(dataset)
+
     @contextlib.contextmanager
     def opened(self, dataset: Dataset, compile_seconds: float, loggers: Sequence[Logger]) -> Iterator[Any]:
         """A block in which the seed is trained: files cleaned, loggers open; gives the state to go on with.
@@ -161,9 +171,7 @@ class SeedTraining:
             compile_seconds: what its training took to compile.
             loggers: receivers of metrics beside the seed's own file.
         """
-        self.directory.mkdir(exist_ok=True)
-        run_writing.clean(self.directory, self.step)
-        self.began = time.perf_counter() - self.record.seconds.get("total", 0.0)
+        self._open_directory()
         self.began -= compile_seconds
         _add(self.record.seconds, "compile", compile_seconds)
         state = loop.donatable(self.run.state(self.seed, self.step) if self.checkpoint else self._first_state(dataset))
@@ -188,6 +196,11 @@ class SeedTraining:
         finally:
             for logger in self._loggers:
                 logger.close()
+
+    def _open_directory(self) -> None:
+        self.directory.mkdir(exist_ok=True)
+        run_writing.clean(self.directory, self.step)
+        self.began = time.perf_counter() - self.record.seconds.get("total", 0.0)
 
     def _first_state(self, dataset: Dataset) -> Any:
         run, began = self.run, time.perf_counter()
