@@ -1,5 +1,6 @@
 """Room for words in a picture: how wide they are, how they are broken into lines, and how names are kept apart."""
 
+import bisect
 import functools
 import re
 from collections.abc import Sequence
@@ -26,11 +27,15 @@ def fitted(text: str, width: float, size: float, bold: bool = False, lines: int 
 
     What does not fit into so many `lines` is left out in the middle, where an ellipsis stands.
     """
-    found = _broken(text, width, size, bold)
-    kept = len(text)
-    while len(found) > lines and kept > 2:
-        kept -= 1
-        found = _broken(f"{text[: kept // 2]}…{text[len(text) - kept // 2 :]}", width, size, bold)
+
+    def shortened(left_out: int) -> list[str]:
+        kept = len(text) - left_out
+        middle = f"{text[: kept - kept // 2]}…{text[len(text) - kept // 2 :]}" if left_out else text
+        return _broken(middle, width, size, bold)
+
+    # The fewest letters whose absence makes it fit; at least one at either end stays.
+    choices = range(max(len(text) - 1, 1))
+    found = shortened(bisect.bisect_left(choices, True, key=lambda left_out: len(shortened(left_out)) <= lines))
     return "\n".join(found)
 
 
