@@ -4,7 +4,7 @@ Sound logs of many kinds (benchmarks/faults/sound.py) are made with each seed, a
 fault planted at each of its sizes (benchmarks/faults/planted.py). With `--recorded`, sets of `odaf data generate` take
 part; faults of the plant itself cannot be planted in these. Thresholds were chosen on seeds 0 to 9; judge with others.
 
-    python benchmarks/check_faults.py --seeds 102 103 --recorded --markdown docs/results/check-evidence.md
+    python benchmarks/check_faults.py --seeds 104 105 --recorded --markdown docs/results/check-evidence.md
 """
 
 import argparse

@@ -12,7 +12,7 @@ QUERIES, REFERENCES = 3_000, 9_000
 FEWEST_EPISODES = 8
 FAR = 4.0
 """How much farther from all others an episode lies than nine tenths of the episodes do."""
-LEAST = 0.9
+LEAST = 1.25
 """The distance itself, for each column, in units of its spread."""
 APART, LEAST_APART = 8.0, 0.25
 """The same where nothing lies between: so many times as far as the next episode, at a smaller distance."""
