@@ -86,7 +86,7 @@ def train(preset: str, algorithm: Any, options: RunOptions, how: Any) -> None:
     from odaf.runs.side_by_side import default_workers
     from odaf.training.fit import recorded_config
     from odaf.training.run_writing import refuse_foreign
-    from odaf.training.settings import RunSettings
+    from odaf.training.settings import RunSettings, default_lanes
     from odaf.training.trackers import tracker
 
     use_compilation_cache(options.compilation_cache)
@@ -101,7 +101,7 @@ def train(preset: str, algorithm: Any, options: RunOptions, how: Any) -> None:
     loggers = [tracker(name) for name in options.log_to]
     dataset = Dataset.load(data)
     settings = RunSettings(**vars(how), evaluate=_evaluation(options, {data: dataset}))
-    if settings.workers is None:
+    if settings.workers is None and (settings.lanes or default_lanes(len(settings.seeds))) == 1:
         cores = settings.cores or (recorded_config(options.out) or {}).get("cores") or 1
         settings = dataclasses.replace(settings, workers=default_workers(len(settings.seeds), cores))
     with resumable(options.out):
@@ -125,7 +125,7 @@ def _train_many(
     from odaf.runs.many import combinations, fit_many
     from odaf.runs.side_by_side import default_workers
     from odaf.training.run_writing import refuse_foreign
-    from odaf.training.settings import RunSettings
+    from odaf.training.settings import RunSettings, default_lanes
     from odaf.training.trackers import tracker
 
     loggers = [tracker(name) for name in options.log_to]
@@ -133,7 +133,8 @@ def _train_many(
     for plan in runs:
         refuse_foreign(plan.directory)
     settings = RunSettings(**vars(how), evaluate=_evaluation(options, {plan.data_path: plan.dataset for plan in runs}))
-    if settings.workers is None:
+    trainings = len(runs) * len(settings.seeds)
+    if settings.workers is None and (settings.lanes or default_lanes(trainings)) == 1:
         workers = default_workers(len(settings.seeds), settings.cores or 1)
         settings = dataclasses.replace(settings, workers=workers)
     with repeatable():

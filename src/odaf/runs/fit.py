@@ -1,7 +1,8 @@
 """Training as its user calls it: the loop joined with environments to try policies in."""
 
+import contextlib
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Unpack
@@ -17,6 +18,7 @@ from odaf.environments.contact_margins import recorded, warn_if_other
 from odaf.errors import ConfigError
 from odaf.evaluation.rollouts import Rollouts
 from odaf.evaluation.runs import Run
+from odaf.runs.beside import PlayedBeside, Players
 from odaf.runs.side_by_side import evaluator_of, side_by_side
 from odaf.training.data_search import find_data
 from odaf.training.evaluator import Evaluator
@@ -73,8 +75,7 @@ def fit(
     apart = settings.cores is not None and settings.cores != usable_cores()
     settings = resolved(settings, Path(directory))
     apart = (apart or (settings.workers or 1) > 1) and settings.lanes == 1
-    evaluator = evaluator_for(settings, dataset)
-    try:
+    with _evaluation(settings, dataset) as evaluator:
         files = training.fit(
             algorithm,
             dataset,
@@ -87,8 +88,6 @@ def fit(
             train_seeds=_trainer(settings, data_path, apart),
             apart=apart,
         )
-    finally:
-        close(evaluator)
     return Run(files)
 
 
@@ -128,8 +127,7 @@ def resume(
         evaluate = None if recorded is None else Rollouts.from_dict(recorded)
     settings = replace(settings, evaluate=evaluate)
     apart = (workers or 1) > 1 and settings.lanes == 1
-    evaluator = evaluator_for(settings, dataset)
-    try:
+    with _evaluation(settings, dataset) as evaluator:
         files = training.resume(
             directory,
             steps,
@@ -141,8 +139,6 @@ def resume(
             train_seeds=_trainer(replace(settings, evaluate=evaluator), data_path, apart),
             apart=apart,
         )
-    finally:
-        close(evaluator)
     return Run(files)
 
 
@@ -165,21 +161,48 @@ def resolved(settings: RunSettings, directory: Path) -> RunSettings:
     return settings.resolved(recorded_config(directory))
 
 
-def evaluator_for(settings: RunSettings, dataset: Dataset) -> Evaluator | None:
-    """What tries the policies, or None; examined, so that what cannot work fails before anything is trained."""
+def evaluator_for(settings: RunSettings, dataset: Dataset, players: Players | None = None) -> Evaluator | None:
+    """What tries the policies, or None; examined, so that what cannot work fails before anything is trained.
+
+    Args:
+        settings: of the run.
+        dataset: that it learns from.
+        players: processes that play episodes while training goes on.
+    """
     if isinstance(settings.evaluate, Rollouts):
         rollouts = settings.evaluate.resolved(dataset.environment)
         derivation = Derivation.from_provenance(dataset.provenance)
         evaluator = evaluator_of(rollouts, dataset.spec(), dataset.observation_names, derivation)
         warn_if_other(recorded(dataset.provenance), evaluator.simulator)
-        return evaluator
+        if players is None:
+            return evaluator
+        return PlayedBeside(evaluator, (rollouts, dataset.spec(), dataset.observation_names, derivation), players)
     assert settings.evaluate is None or isinstance(settings.evaluate, Evaluator)
     return settings.evaluate
 
 
-def close(evaluator: Evaluator | None) -> None:
-    """Gives back what an evaluator holds, such as its environments."""
-    method = getattr(evaluator, "close", None)
+@contextlib.contextmanager
+def _evaluation(settings: RunSettings, dataset: Dataset) -> Iterator[Evaluator | None]:
+    players = players_for(settings)
+    try:
+        evaluator = evaluator_for(settings, dataset, players)
+        try:
+            yield evaluator
+        finally:
+            close(evaluator)
+    finally:
+        close(players)
+
+
+def players_for(settings: RunSettings) -> Players | None:
+    """Processes for episodes that are played while lanes are trained; None where training waits for them."""
+    beside = (settings.lanes or 1) > 1 and (settings.workers or 1) > 1 and isinstance(settings.evaluate, Rollouts)
+    return Players(settings.workers or 1) if beside else None
+
+
+def close(held: object) -> None:
+    """Gives back what an evaluator or its players hold, such as environments and processes."""
+    method = getattr(held, "close", None)
     if method is not None:
         method()
 

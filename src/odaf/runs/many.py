@@ -143,9 +143,11 @@ def _in_lanes(
     lanes: list[Lane] = []
     found: dict[Path, Run] = {}
     with contextlib.ExitStack() as stack:
+        players = single.players_for(single.resolved(settings, runs[0].directory))
+        stack.callback(single.close, players)
         for plan in runs:
             own = single.resolved(settings, plan.directory)
-            evaluator = single.evaluator_for(own, plan.dataset)
+            evaluator = single.evaluator_for(own, plan.dataset, players)
             stack.callback(single.close, evaluator)
             opened = open_run(
                 plan.algorithm,

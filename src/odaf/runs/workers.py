@@ -161,6 +161,16 @@ def _begin(leave: Any, numbers: Any, workers: int, cores: int | None, news: Any,
         prepare()
 
 
+def begin_beside(leave: Any) -> None:
+    """First in a process that works beside a training: one core for its array library, and no accelerator.
+
+    Must come before an array library is loaded. The process ends with its parent, as those of `run_jobs` do.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    os.environ |= {"NPROC": "1", "OMP_NUM_THREADS": "1", "JAX_PLATFORMS": "cpu"}
+    threading.Thread(target=_leave_with_parent, args=(leave,), daemon=True).start()
+
+
 def _leave_with_parent(leave: Any) -> None:
     """End this process once its parent has closed the other end, or is gone: nobody is left to take its result."""
     try:

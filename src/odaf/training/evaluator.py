@@ -1,5 +1,6 @@
 """What the training loop asks of whoever measures its policies; the loop itself knows no environments."""
 
+from concurrent.futures import Future
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
@@ -43,4 +44,13 @@ class Evaluator(Protocol):
 
     def to_dict(self) -> dict[str, Any]:
         """Its settings as plain JSON types, for `config.json`."""
+        ...
+
+
+@runtime_checkable
+class EvaluatorBeside(Evaluator, Protocol):
+    """Measures policies in other processes, while training goes on."""
+
+    def submit(self, policy: Policy, directory: Path, step: int) -> "Future[Evaluation]":
+        """Begins what a call would do; the policy is not needed any more when this returns."""
         ...

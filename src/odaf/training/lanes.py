@@ -181,6 +181,12 @@ def _train(
                     failures.append(error)
                     going.remove(place)
             going = [place for place in going if seeds[place].step < seeds[place].steps]
+        for lane in lanes if not interrupted else ():
+            try:
+                lane.seed.collect()
+            except OdafError as error:
+                report.message(f"{lane.name}: {error}")
+                failures.append(error)
         if interrupted:
             raise KeyboardInterrupt(f"{len(going)} lanes are saved at update {min(seed.step for seed in seeds):,}")
     return failures

@@ -3,7 +3,7 @@
 import json
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
@@ -36,19 +36,20 @@ class JsonLines:
     """Appends every record to `metrics.jsonl` in the seed's directory; numbers that are not finite become null.
 
     Args:
-        evaluated: whether the evaluation after the step that training goes on from counts; if not, it will be repeated.
+        due: steps whose evaluation, if there is a line of it, does not count and will be repeated.
     """
 
-    def __init__(self, evaluated: bool = True):
-        self._file, self._evaluated = None, evaluated
+    def __init__(self, due: Collection[int] = ()):
+        self._file, self._due = None, due
 
     def open(self, directory: Path, step: int) -> None:
-        path = directory / "metrics.jsonl"
-        truncate(path, step, self._evaluated)
-        self._file = path.open("ab")
+        self._path, self._last, self._ordered = directory / "metrics.jsonl", step, True
+        truncate(self._path, step, self._due)
+        self._file = self._path.open("ab")
 
     def log(self, step: int, metrics: Mapping[str, float | int]) -> None:
         assert self._file is not None, "log was called before open"
+        self._ordered, self._last = self._ordered and step >= self._last, max(step, self._last)
         line = json.dumps({"step": step, **finite(dict(metrics))}, allow_nan=False) + "\n"
         self._file.write(line.encode())
         self._file.flush()
@@ -62,6 +63,8 @@ class JsonLines:
         if self._file is not None:
             self._file.close()
             self._file = None
+            if not self._ordered:  # an evaluation was done when training was further already
+                _put_in_order(self._path)
 
 
 def read(path: Path) -> list[dict[str, Any]]:
@@ -73,25 +76,31 @@ def read(path: Path) -> list[dict[str, Any]]:
     return [record for _, record in _records(path)]
 
 
-def truncate(path: Path, step: int, evaluated: bool = True) -> None:
+def truncate(path: Path, step: int, due: Collection[int] = ()) -> None:
     """Removes a torn last line and every record later than `step`. Touches nothing when there are none.
 
     Args:
         path: the file.
         step: the last that counts.
-        evaluated: False removes the evaluation after that very step, too.
+        due: steps whose evaluation is removed, because it does not count yet.
     """
     if not path.exists():
         return
 
     def counts(record: Mapping[str, Any]) -> bool:
-        if record["step"] == step and not evaluated:
-            return not any(name.startswith("evaluation/") for name in record)
+        if record["step"] in due:
+            return record["step"] <= step and not any(name.startswith("evaluation/") for name in record)
         return record["step"] <= step
 
     kept = b"".join(line for line, record in _records(path) if counts(record))
     if len(kept) != os.path.getsize(path):
         write_atomically(path, lambda file: file.write(kept))
+
+
+def _put_in_order(path: Path) -> None:
+    """Sorts the records by step; those of one step keep their order."""
+    lines = [line for line, _ in sorted(_records(path), key=lambda entry: entry[1]["step"])]
+    write_atomically(path, lambda file: file.write(b"".join(lines)))
 
 
 @dataclass(frozen=True)

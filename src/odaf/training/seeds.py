@@ -4,6 +4,7 @@ import contextlib
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,7 +14,8 @@ from odaf.data.dataset import Dataset
 from odaf.data.sampling import Columns, training_column_shapes, training_columns
 from odaf.errors import DivergenceError
 from odaf.training import checkpoints, loop, run_directory, run_writing
-from odaf.training.evaluator import Evaluator
+from odaf.training.checkpoints import Checkpoint
+from odaf.training.evaluator import Evaluation, Evaluator, EvaluatorBeside
 from odaf.training.files import write_json
 from odaf.training.interrupts import held_back
 from odaf.training.logging import JsonLines, Logger
@@ -23,6 +25,8 @@ from odaf.training.progress import ProgressReport
 from odaf.training.run_directory import RunDirectory
 from odaf.training.settings import KeepCheckpoints
 
+# Checkpoints whose evaluation beside the training may be under way; training waits for the oldest of more.
+_MOST_BEHIND = 2
 # What progress reports call the stage that counts updates.
 TRAINING = "training"
 
@@ -80,6 +84,15 @@ class _Record:
     evaluation_due: bool = False
 
 
+@dataclass(frozen=True)
+class _Pending:
+    """An evaluation under way beside the training."""
+
+    checkpoint: Checkpoint
+    summary: dict[str, Any]
+    found: Future[Evaluation]
+
+
 class SeedTraining:
     """One seed's way from its last checkpoint to the last step."""
 
@@ -117,10 +130,15 @@ class SeedTraining:
             )
         if evaluate is None:
             self.record.evaluation_due = False
+        # Earlier checkpoints whose evaluation had not ended when the process did.
+        self._overdue = [
+            each for each in found[:-1] if evaluate is not None and each.header()["summary"].get("evaluation_due")
+        ]
+        self._pending: list[_Pending] = []
 
     def is_finished(self) -> bool:
-        """Whether the last checkpoint is the last one asked for, and was evaluated if it is to be."""
-        return self.step >= self.steps and not self.record.evaluation_due
+        """Whether the last checkpoint is the last one asked for, and all were evaluated that are to be."""
+        return self.step >= self.steps and not self.record.evaluation_due and not self._overdue
 
     def tidy_up(self) -> None:
         """Brings the files of a finished seed up to date, wherever a kill left them."""
@@ -151,6 +169,7 @@ class SeedTraining:
                     interrupt.wait_for(reduced)
                     metrics = {name: float(value) for name, value in jax.device_get(reduced).items()}
                 self.trained_to(stop, metrics, time.perf_counter() - began, lambda state=state: state, interrupt.came)
+            self.collect()
 
     def begin(self, dataset: Dataset) -> None:
         """Trains the models that the learner needs beforehand and saves the first state, unless that was done before.
@@ -175,7 +194,8 @@ class SeedTraining:
         self.began -= compile_seconds
         _add(self.record.seconds, "compile", compile_seconds)
         state = loop.donatable(self.run.state(self.seed, self.step) if self.checkpoint else self._first_state(dataset))
-        self._lines = JsonLines(evaluated=not self.record.evaluation_due)
+        due = {each.step for each in self._overdue} | ({self.step} if self.record.evaluation_due else set())
+        self._lines = JsonLines(due)
         self._loggers = (self._lines, *loggers)
         self._monitor = DivergenceMonitor(
             self.run.spec,
@@ -190,10 +210,16 @@ class SeedTraining:
                 self.record.status = "running"
             self.write_summary()
             self.progress.start(training_stage(self.seed), self.steps, self.step)
+            for checkpoint in self._overdue:
+                self._measure(self.run.state(self.seed, checkpoint.step), checkpoint)
+            self._overdue = []
             if self.record.evaluation_due:
-                self._measure(state)
+                assert self.checkpoint is not None
+                self._measure(state, self.checkpoint)
             yield state
         finally:
+            for pending in self._pending:  # what is left is due, and done when the run is gone on with
+                pending.found.cancel()
             for logger in self._loggers:
                 logger.close()
 
@@ -239,6 +265,7 @@ class SeedTraining:
             KeyboardInterrupt: `interrupted`, or `asked_to_stop` says so; the state is saved first.
         """
         record = self.record
+        self.collect(wait_for=_MOST_BEHIND)
         _add(record.seconds, "train", took)
         timing = {"time/updates_per_second": (stop - self.step) / took}
         self.step = stop
@@ -264,7 +291,8 @@ class SeedTraining:
         if interrupted:
             raise KeyboardInterrupt(f"seed {self.seed} is saved at update {self.step:,}")
         if record.evaluation_due:
-            self._measure(state())
+            assert self.checkpoint is not None
+            self._measure(state(), self.checkpoint)
         self.progress.advance(self.step)
         if lost:
             first = next(warning for warning in record.warnings if warning.kind == "not-finite")
@@ -289,23 +317,60 @@ class SeedTraining:
             intervals.append(self.evaluate.every)
         return min(self.steps, *((self.step // interval + 1) * interval for interval in intervals))
 
-    def _measure(self, state: Any) -> None:
-        """Evaluates the state that was just saved, and adds what was found to its checkpoint."""
-        assert self.evaluate is not None and self.checkpoint is not None
-        began, record = time.perf_counter(), self.record
-        found = self.evaluate(self.run.policy_of(state), self.directory, self.step)
-        _add(record.seconds, "evaluate", time.perf_counter() - began)
+    def _measure(self, state: Any, checkpoint: Checkpoint) -> None:
+        """Evaluates a state that was saved, or has it evaluated beside the training."""
+        assert self.evaluate is not None
+        policy, began = self.run.policy_of(state), time.perf_counter()
+        summary = checkpoint.header()["summary"]
+        if isinstance(self.evaluate, EvaluatorBeside):
+            found = self.evaluate.submit(policy, self.directory, checkpoint.step)
+            self._pending.append(_Pending(checkpoint, summary, found))
+            self.record.evaluation_due = False  # of checkpoints from here on
+            return
+        evaluation = self.evaluate(policy, self.directory, checkpoint.step)
+        _add(self.record.seconds, "evaluate", time.perf_counter() - began)
+        self._take(evaluation, checkpoint, summary)
+
+    def collect(self, wait_for: int = 0) -> None:
+        """Takes what evaluations beside the training have found; waits until no more than `wait_for` are under way.
+
+        Raises:
+            ConfigError: the environment failed.
+        """
+        while self._pending and (len(self._pending) > wait_for or self._pending[0].found.done()):
+            pending = self._pending[0]
+            evaluation = pending.found.result()
+            self._take(evaluation, pending.checkpoint, pending.summary)
+            self._pending.pop(0)
+
+    def _take(self, found: Evaluation, checkpoint: Checkpoint, then: dict[str, Any]) -> None:
+        """Adds what an evaluation found to its checkpoint and to the record of the seed.
+
+        Args:
+            found: by the evaluation.
+            checkpoint: what was evaluated.
+            then: the checkpoint's summary, which is the seed's own no more if training went on meanwhile.
+        """
+        record, step = self.record, checkpoint.step
         for kind, sentence in found.warnings.items():
             if kind not in {warning.kind for warning in record.warnings}:
-                self._warn(TrainingWarning(kind, self.step, f"update {self.step:,}: {sentence}"))
-        record.evaluation, record.evaluation_due = {"step": self.step, **found.summary}, False
-        if self.step >= self.steps and record.status != "diverged":
-            record.status = "finished"
+                self._warn(TrainingWarning(kind, step, f"update {step:,}: {sentence}"))
+        record.evaluation = {"step": step, **found.summary}
+        stands_there = self.checkpoint is not None and self.checkpoint.step == step
+        if stands_there:
+            record.evaluation_due = False
+            if self.step >= self.steps and record.status != "diverged":
+                record.status = "finished"
         for logger in self._loggers:
-            logger.log(self.step, found.metrics)
+            logger.log(step, found.metrics)
         self._lines.sync()
         record.seconds["total"] = time.perf_counter() - self.began
-        checkpoints.rewrite_record(self.checkpoint, {"summary": self._summary()})
+        summary = self._summary()
+        if not stands_there:
+            evaluated = {name: summary[name] for name in ("evaluation", "warnings")}
+            summary = {**then, **evaluated, "evaluation_due": False}
+        if checkpoint.path.exists():  # not if it was pruned meanwhile
+            checkpoints.rewrite_record(checkpoint, {"summary": summary})
         self.write_summary()
         self.progress.advance(self.step, f"return {found.headline:,.1f}")
 

@@ -66,7 +66,8 @@ class RunSettings:
     """What to do when values leave the range that rewards allow. Parameters that are not finite always end training."""
     workers: int | None = None
     """Processes that train seeds side by side; 1 trains them one after another. Without it, Python takes 1, and the
-    command line one for each seed up to what the cores allow, or 1 beside an accelerator."""
+    command line one for each seed up to what the cores allow. With lanes, processes that play policies while training
+    goes on; 1 lets it wait. Without it, on an accelerator all cores but one."""
     lanes: int | None = None
     """Trainings (seeds, settings, data sets) in one compiled program; the bits of a run belong to their number. 1
     trains each alone. Without it, 1 on a processor, and on an accelerator all, or as many as its memory holds."""
@@ -134,8 +135,8 @@ class RunSettings:
         names = ("workers", "lanes", "cores", "device", "precision")
         known = {name: recorded.get(name) for name in names} if recorded else {}
         lanes = self.lanes or known.get("lanes") or (1 if recorded else default_lanes(len(self.seeds)))
-        workers = (self.workers or known.get("workers") or 1) if lanes == 1 else 1
-        processes = min(workers, len(self.seeds))
+        workers = self.workers or known.get("workers") or (1 if lanes == 1 else default_players())
+        processes = min(workers, len(self.seeds)) if lanes == 1 else 1
         cores = self.cores or known.get("cores") or max(1, usable_cores() // processes)
         device = self.device or known.get("device") or jax.default_backend()
         precision = self.precision or known.get("precision")
@@ -170,6 +171,11 @@ class RunSettings:
 def default_lanes(trainings: int) -> int:
     """Lanes of the program when nobody says: all trainings beside an accelerator, one on a processor."""
     return 1 if jax.default_backend() == "cpu" else trainings
+
+
+def default_players() -> int:
+    """Processes that play policies beside lanes when nobody says: on a processor none, training has the cores."""
+    return 1 if jax.default_backend() == "cpu" else max(1, usable_cores() - 1)
 
 
 def products_in(precision: Precision | None) -> contextlib.AbstractContextManager[object]:
