@@ -100,6 +100,7 @@ def compare(learner: str, before: Path, rounds: int, seconds: float) -> dict[str
         "ratio": float(np.exp(logs.mean())),
         "low": float(np.exp(logs.mean() - half)),
         "high": float(np.exp(logs.mean() + half)),
+        "rounds": rounds,
         **{f"{name}_per_second": float(count / np.median(times)) for name, times in taken.items()},
     }
 
@@ -123,7 +124,7 @@ def main(arguments: list[str] | None = None) -> None:
             f"{found['before_per_second']:10.1f} {found['now_per_second']:10.1f}{mark}",
             flush=True,
         )
-        write_figures(options.json, about, {"rounds": options.rounds, "learners": figures})
+        write_figures(options.json, about, {"learners": figures})
     print(json.dumps({name: round(found["low"], 3) for name, found in figures.items()}))
 
 

@@ -55,6 +55,19 @@ def test_an_interrupted_training_is_saved_where_it_stands(data: Path, tmp_path: 
     assert f"odaf resume {out}" in errors
 
 
+def test_inside_a_block_where_all_is_saved_an_interrupt_passes_at_once():
+    with held_back(lambda: None) as interrupt:
+        with pytest.raises(KeyboardInterrupt), interrupt.passing():
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(1.0)
+        assert not interrupt.came
+        os.kill(os.getpid(), signal.SIGINT)  # held again
+        interrupt.wait_for(())
+        assert interrupt.came
+        with pytest.raises(KeyboardInterrupt), interrupt.passing():
+            raise AssertionError("it came before the block")
+
+
 def test_the_first_interrupt_waits_and_the_second_does_not():
     told = []
     with held_back(lambda: told.append("told")) as interrupt:

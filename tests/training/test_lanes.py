@@ -1,6 +1,7 @@
 """Many runs in one program: each as if it were alone, however it is cut, whoever is trained beside it."""
 
 import json
+import signal
 
 import jax
 import numpy as np
@@ -187,3 +188,26 @@ def test_a_run_of_lanes_is_not_gone_on_with_in_another_number(tiny, logs, tmp_pa
         _train(tiny, runs, lanes=4)
     config = json.loads((runs[0].directory / "config.json").read_text())
     assert config["workers"] == 1
+
+
+def test_an_interrupt_between_two_lanes_saves_all_of_them_at_one_update(tiny, logs, tmp_path, monkeypatch):
+    runs, count, trained_to = _plans(tiny, logs, tmp_path / "runs"), 0, seed_training.SeedTraining.trained_to
+
+    def interrupting(self, *arguments):
+        nonlocal count
+        count += 1
+        if count == 3:
+            signal.raise_signal(signal.SIGINT)
+        trained_to(self, *arguments)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(seed_training.SeedTraining, "trained_to", interrupting)
+        with pytest.raises(KeyboardInterrupt, match="8 lanes are saved at update 4"):
+            _train(tiny, runs)
+    for plan in runs:
+        assert [RunDirectory(plan.directory).summary(seed)["step"] for seed in (0, 5)] == [4, 4]
+    unbroken = _plans(tiny, logs, tmp_path / "unbroken")
+    _train(tiny, unbroken)
+    _train(tiny, runs)
+    for ours, theirs in zip(runs, unbroken, strict=True):
+        _same_content(tiny, ours.directory, theirs.directory)

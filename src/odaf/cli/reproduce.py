@@ -2,6 +2,7 @@
 
 import dataclasses
 import difflib
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -15,8 +16,12 @@ from odaf.errors import ConfigError
 from odaf.studies.registry import STUDIES
 
 if TYPE_CHECKING:
-    from odaf.studies.job import Study
+    from odaf.studies.job import Job, Study
+    from odaf.studies.ledger import Ledger
     from odaf.studies.listing import Holding
+
+# Of the minutes: the rest is for scores with more episodes, and for what is not trained in lanes.
+_SHARE_OF_LANES = 0.75
 
 
 @dataclasses.dataclass(frozen=True)
@@ -37,6 +42,14 @@ class ReproduceOptions:
     """Measure only these phases of the plan, from 1; those that say most for their cost come first."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     """The ledger: directory of the records, the tables and the figures; without it, results/STUDY."""
+    lanes: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Train what shares a program in lanes of it, as many as the memory holds, before the records are made: for a
+    machine with an accelerator. With --minutes, three quarters of them go into that."""
+    ledger: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
+    """Put new records, and the policies they are of, into this folder, and leave --out as it is: to carry them to
+    another machine."""
+    merge: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
+    """Measure nothing: take the records of such a folder into the ledger, those that say what would be measured now."""
     work: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     """Directory of data and runs, which may be thrown away once the records are there; without it, runs/STUDY."""
 
@@ -66,23 +79,54 @@ def run(arguments: list[str]) -> None:
 def _measure(study: "Study", options: ReproduceOptions) -> None:
     from odaf.studies.executor import Here
     from odaf.studies.job import chosen
+    from odaf.studies.lanes import keep_actors
     from odaf.studies.ledger import Ledger
     from odaf.studies.news import Display
     from odaf.studies.perform import perform
 
     out, work = _places(study, options)
     jobs, ledger = chosen(study, options.phase, options.only), Ledger(study, out)
+    if options.merge is not None:
+        return _merge(ledger, Ledger(study, options.merge))
+    costs, minutes = _costs(study, ledger), options.minutes
+    if options.ledger is not None:
+        jobs = [job for job in jobs if ledger.standing(job).state != "held"]
+        ledger = Ledger(study, options.ledger)
     with repeatable():
-        perform(
-            ledger,
-            jobs,
-            work,
-            Here(options.workers),
-            Display(study.name),
-            minutes=options.minutes,
-            costs=_costs(study, ledger),
-        )
-    print(f"The records are in {out}, drawn as {', '.join([*study.tables, *study.figures])}")
+        if options.lanes:
+            minutes = _train_together(ledger, jobs, work, minutes)
+        if minutes is None or minutes > 0.0:
+            perform(ledger, jobs, work, Here(options.workers), Display(study.name), minutes=minutes, costs=costs)
+        if options.ledger is not None:
+            keep_actors(ledger, jobs, work)
+    print(f"The records are in {ledger.out}, drawn as {', '.join([*study.tables, *study.figures])}")
+    if options.ledger is not None:
+        print(f"Take them over with: odaf reproduce {study.name} --merge {options.ledger}")
+
+
+def _train_together(ledger: "Ledger", jobs: Sequence["Job"], work: Path, minutes: float | None) -> float | None:
+    """Trains in lanes what is missing; returns the minutes that are left."""
+    from odaf.studies.lanes import train_together
+    from odaf.training.progress import default_progress
+
+    begun = time.monotonic()
+    missing = [job for job in jobs if ledger.standing(job).state != "held"]
+    until = None if minutes is None else begun + _SHARE_OF_LANES * 60.0 * minutes
+    report = default_progress(True)
+    if not train_together(missing, work, report, until=until):
+        report.message("time is up for training; the same command goes on where it stopped")
+    return None if minutes is None else minutes - (time.monotonic() - begun) / 60.0
+
+
+def _merge(ledger: "Ledger", other: "Ledger") -> None:
+    from odaf.studies.lanes import merge
+
+    if not other.out.is_dir():
+        raise ConfigError(f"--merge {other.out}: there is no such folder; give the one that --ledger named")
+    found = merge(ledger, other)
+    for name, why in found.refused.items():
+        print(f"not taken: {name}: {why}")
+    print(f"{len(found.taken)} records taken into {ledger.out}, {len(found.known)} were there already")
 
 
 def _list_all(options: ReproduceOptions) -> None:

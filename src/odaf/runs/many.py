@@ -8,7 +8,7 @@ import contextlib
 import itertools
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Unpack
@@ -36,6 +36,7 @@ class Plan:
         directory: where the run is written.
         preset: name under which the learner's settings are known.
         data_path: the file that `dataset` was read from.
+        seeds: in place of those in the settings.
     """
 
     algorithm: Algorithm
@@ -43,6 +44,11 @@ class Plan:
     directory: Path
     preset: str | None = None
     data_path: Path | None = None
+    seeds: tuple[int, ...] | None = None
+
+    def number(self, settings: RunSettings) -> int:
+        """How many trainings it is."""
+        return len(self.seeds or settings.seeds)
 
 
 def combinations(
@@ -89,6 +95,7 @@ def fit_many(
     settings: RunSettings | None = None,
     progress: bool | ProgressReport = True,
     loggers: Sequence[Logger] = (),
+    asked_to_stop: Callable[[], bool] = lambda: False,
     **changes: Unpack[SettingChanges],
 ) -> list[Run]:
     """Trains every run with all its seeds; the same call again goes on where it was stopped.
@@ -101,6 +108,7 @@ def fit_many(
         settings: how every run is to go.
         progress: whether to show a progress bar.
         loggers: receivers of metrics; each training has a copy.
+        asked_to_stop: asked after every stretch of lanes; once it says so they are saved as by Ctrl-C.
         **changes: fields of `RunSettings` by name; they go before those in `settings`.
 
     Raises:
@@ -112,23 +120,23 @@ def fit_many(
     programs: dict[Any, list[Plan]] = {}
     for plan in runs:
         programs.setdefault(program_of(plan.algorithm, plan.dataset), []).append(plan)
-    wanted = settings.lanes or default_lanes(len(runs) * len(settings.seeds))
+    wanted = settings.lanes or default_lanes(sum(plan.number(settings) for plan in runs))
     done: dict[Path, Run] = {}
     for number, together in enumerate(programs.values(), 1):
-        lanes = min(wanted, len(together) * len(settings.seeds))
+        lanes = min(wanted, sum(plan.number(settings) for plan in together))
         if len(programs) > 1 and wanted > 1:
             report.message(
                 f"program {number} of {len(programs)}: {', '.join(str(plan.directory) for plan in together)}"
             )
         if lanes > 1:
-            done |= _in_lanes(together, replace(settings, lanes=lanes), report, loggers)
+            done |= _in_lanes(together, replace(settings, lanes=lanes), report, loggers, asked_to_stop)
             continue
         for plan in together:
             done[plan.directory] = single.fit(
                 plan.algorithm,
                 plan.dataset,
                 directory=plan.directory,
-                settings=replace(settings, lanes=1),
+                settings=replace(settings, lanes=1, seeds=plan.seeds or settings.seeds),
                 progress=report,
                 preset=plan.preset,
                 data_path=plan.data_path,
@@ -138,7 +146,11 @@ def fit_many(
 
 
 def _in_lanes(
-    runs: Sequence[Plan], settings: RunSettings, report: ProgressReport, loggers: Sequence[Logger]
+    runs: Sequence[Plan],
+    settings: RunSettings,
+    report: ProgressReport,
+    loggers: Sequence[Logger],
+    asked_to_stop: Callable[[], bool],
 ) -> dict[Path, Run]:
     lanes: list[Lane] = []
     found: dict[Path, Run] = {}
@@ -146,7 +158,7 @@ def _in_lanes(
         players = single.players_for(single.resolved(settings, runs[0].directory))
         stack.callback(single.close, players)
         for plan in runs:
-            own = single.resolved(settings, plan.directory)
+            own = single.resolved(replace(settings, seeds=plan.seeds or settings.seeds), plan.directory)
             evaluator = single.evaluator_for(own, plan.dataset, players)
             stack.callback(single.close, evaluator)
             opened = open_run(
@@ -164,7 +176,7 @@ def _in_lanes(
         stack.callback(report.close)
         if lanes:
             with products_in(lanes[0].seed.run.config["precision"]):
-                train_in_lanes(lanes, settings.lanes or 1, loggers, report)
+                train_in_lanes(lanes, settings.lanes or 1, loggers, report, asked_to_stop)
     return found
 
 

@@ -63,8 +63,8 @@ class Costs:
 
 
 def seconds_of(record: Record) -> float | None:
-    """What a record says it took."""
-    seconds: Any = record.get("seconds")
+    """What a record says it took; None where many trainings shared the time, which says nothing of one."""
+    seconds: Any = record.get("seconds") if record.get("lanes", 1) == 1 else None
     if isinstance(seconds, dict):
         seconds = seconds.get("total")
     return float(seconds) if isinstance(seconds, int | float) else None

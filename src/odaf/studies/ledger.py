@@ -110,6 +110,14 @@ class Ledger:
         self.data[log.name] = known
         _write(self.out / DATA, dict(sorted(self.data.items())))
 
+    def learn_log(self, name: str, entry: Mapping[str, Any]) -> None:
+        """Notes a log as another ledger knows it; prints of the same rows are added to those that are known."""
+        known = self.data.get(name)
+        prints = [] if known is None or differences(known["recipe"], entry["recipe"]) else known["sha256"]
+        whole = list(dict.fromkeys([*prints, *entry["sha256"]]))
+        self.data[name] = {"recipe": dict(entry["recipe"]), "sha256": whole}
+        _write(self.out / DATA, dict(sorted(self.data.items())))
+
     def draw(self) -> None:
         """Draws the study's tables and figures from the records that count."""
         self.study.draw(self.held(), self.out)

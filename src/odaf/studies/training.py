@@ -171,6 +171,8 @@ class Training(Work):
             "identity": {name: self.identity()[name] for name in ("learner_version", "evaluation")},
             "versions": {key: versions[key] for key in ("python", "versions", "device", "platform")},
         }
+        if run.config.get("lanes", 1) > 1:
+            record["lanes"] = run.config["lanes"]
         return self._normalised(record, run) if self.task.score == "normalised_score" else record
 
     def trained(self, place: Path, progress: "ProgressReport") -> "Run":

@@ -1,4 +1,4 @@
-"""Ctrl-C while a compiled call runs: kept until the call is done, because the state it was given is gone until then."""
+"""Ctrl-C while a seed is trained: kept until the stretch is done and saved, because its state is nowhere else."""
 
 import contextlib
 import signal
@@ -14,6 +14,24 @@ class Interrupt:
 
     def __init__(self, heard: bool):
         self.came, self._heard = False, heard
+
+    @contextlib.contextmanager
+    def passing(self) -> Iterator[None]:
+        """Lets Ctrl-C through at once inside the block, where all that counts is saved.
+
+        Raises:
+            KeyboardInterrupt: it came before.
+        """
+        if not self._heard:
+            yield
+            return
+        if self.came:
+            raise KeyboardInterrupt
+        holding = signal.signal(signal.SIGINT, signal.default_int_handler)
+        try:
+            yield
+        finally:
+            signal.signal(signal.SIGINT, holding)
 
     def wait_for(self, arrays: Any) -> None:
         """Returns when `arrays` are computed. Python hears no signal inside such a wait, so another thread does it."""

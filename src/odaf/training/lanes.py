@@ -61,7 +61,13 @@ def program_of(algorithm: Algorithm, dataset: Dataset) -> tuple[Any, ...]:
     return structure, dataset.obs_dim, dataset.act_dim, mixed
 
 
-def train_in_lanes(lanes: Sequence[Lane], width: int, loggers: Sequence[Logger], report: ProgressReport) -> None:
+def train_in_lanes(
+    lanes: Sequence[Lane],
+    width: int,
+    loggers: Sequence[Logger],
+    report: ProgressReport,
+    asked_to_stop: Callable[[], bool] = lambda: False,
+) -> None:
     """Trains all of them to their ends, `width` at a time.
 
     A lane that diverges or fails lets the others go on; then its error is raised.
@@ -71,10 +77,11 @@ def train_in_lanes(lanes: Sequence[Lane], width: int, loggers: Sequence[Logger],
         width: lanes of the program.
         loggers: receivers of metrics; each lane has a copy.
         report: where progress is shown.
+        asked_to_stop: asked after every stretch; once it says so, all lanes are saved.
 
     Raises:
         DivergenceError: as `odaf.training.fit.fit`, of the first lane that diverged.
-        KeyboardInterrupt: somebody pressed Ctrl-C; all lanes are saved first.
+        KeyboardInterrupt: somebody pressed Ctrl-C, or `asked_to_stop` says so; all lanes are saved first.
     """
     report.start(f"{len(lanes)} lanes: compiling", 0)
     program = _Program(lanes, width)
@@ -83,7 +90,7 @@ def train_in_lanes(lanes: Sequence[Lane], width: int, loggers: Sequence[Logger],
         report.message(f"{len(lanes)} trainings take turns in a program of {program.width} lanes")
     failures: list[OdafError] = []
     for part in parts:
-        failures += _train(part, program, loggers, report)
+        failures += _train(part, program, loggers, report, asked_to_stop)
     if failures:
         raise failures[0]
 
@@ -127,7 +134,11 @@ class _Program:
 
 
 def _train(
-    lanes: Sequence[Lane], program: _Program, loggers: Sequence[Logger], report: ProgressReport
+    lanes: Sequence[Lane],
+    program: _Program,
+    loggers: Sequence[Logger],
+    report: ProgressReport,
+    asked_to_stop: Callable[[], bool],
 ) -> list[OdafError]:
     """Trains one lane or several, at most as many as the program has; returns what went wrong with some of them."""
     combined = CombinedProgress(
@@ -153,41 +164,42 @@ def _train(
         states = loop.stacked(program.filled(begun))
         begun.clear()
         going = [place for place in places if seeds[place].step < seeds[place].steps]
-        interrupted = False
-        while going and not interrupted:
-            step = min(seeds[place].step for place in going)  # who was stopped earlier catches up first
-            moving = [place for place in going if seeds[place].step == step]
-            stop = min(seeds[place].next_stop() for place in moving)
-            kept = None if len(moving) == len(going) else jax.tree.map(jnp.copy, states)
-            first, last = loop.update_number(step), loop.update_number(stop)
-            began = time.perf_counter()
-            with held_back(told) as interrupt:
+        stopping = False
+        with held_back(told) as interrupt:
+            while going and not stopping:
+                step = min(seeds[place].step for place in going)  # who was stopped earlier catches up first
+                moving = [place for place in going if seeds[place].step == step]
+                stop = min(seeds[place].next_stop() for place in moving)
+                kept = None if len(moving) == len(going) else jax.tree.map(jnp.copy, states)
+                first, last = loop.update_number(step), loop.update_number(stop)
+                began = time.perf_counter()
                 states, reduced = program.train(numbers, program.columns, slabs, keys, first, last, states)
                 interrupt.wait_for(reduced)
                 metrics = jax.device_get(reduced)
-            took = time.perf_counter() - began
-            if kept is not None:
-                states = _merged(states, kept, [place in moving for place in range(program.width)])
-            for place in moving:
-                own = {name: float(values[place]) for name, values in metrics.items()}
-                try:
-                    seeds[place].trained_to(
-                        stop, own, took, functools.partial(loop.lane, states, place), interrupt.came
-                    )
-                except KeyboardInterrupt:
-                    interrupted = True
-                except OdafError as error:
-                    report.message(f"{lanes[place].name}: {error}")
-                    failures.append(error)
-                    going.remove(place)
-            going = [place for place in going if seeds[place].step < seeds[place].steps]
-        for lane in lanes if not interrupted else ():
+                took = time.perf_counter() - began
+                if kept is not None:
+                    states = _merged(states, kept, [place in moving for place in range(program.width)])
+                stopping = interrupt.came or asked_to_stop()  # once, so that all lanes are saved at one update
+                for place in moving:
+                    own = {name: float(values[place]) for name, values in metrics.items()}
+                    state = functools.partial(loop.lane, states, place)
+                    try:
+                        seeds[place].trained_to(stop, own, took, state, stopping)
+                    except KeyboardInterrupt:
+                        continue
+                    except OdafError as error:
+                        report.message(f"{lanes[place].name}: {error}")
+                        failures.append(error)
+                        going.remove(place)
+                going = [place for place in going if seeds[place].step < seeds[place].steps]
+        stopping = stopping or interrupt.came
+        for lane in lanes if not stopping else ():
             try:
                 lane.seed.collect()
             except OdafError as error:
                 report.message(f"{lane.name}: {error}")
                 failures.append(error)
-        if interrupted:
+        if stopping:
             raise KeyboardInterrupt(f"{len(going)} lanes are saved at update {min(seed.step for seed in seeds):,}")
     return failures
 

@@ -17,7 +17,7 @@ from odaf.training import checkpoints, loop, run_directory, run_writing
 from odaf.training.checkpoints import Checkpoint
 from odaf.training.evaluator import Evaluation, Evaluator, EvaluatorBeside
 from odaf.training.files import write_json
-from odaf.training.interrupts import held_back
+from odaf.training.interrupts import Interrupt, held_back
 from odaf.training.logging import JsonLines, Logger
 from odaf.training.memory import give_back_freed_memory
 from odaf.training.monitors import DivergenceMonitor, TrainingWarning
@@ -135,6 +135,7 @@ class SeedTraining:
             each for each in found[:-1] if evaluate is not None and each.header()["summary"].get("evaluation_due")
         ]
         self._pending: list[_Pending] = []
+        self._interrupt: Interrupt | None = None  # while this seed is trained alone
 
     def is_finished(self) -> bool:
         """Whether the last checkpoint is the last one asked for, and all were evaluated that are to be."""
@@ -160,15 +161,18 @@ class SeedTraining:
         """
         key = loop.training_key(self.seed)
         with self.opened(data.dataset, data.compile_seconds, loggers) as state:
-            while self.step < self.steps:
-                stop = self.next_stop()
-                first, last = loop.update_number(self.step), loop.update_number(stop)
-                began = time.perf_counter()
-                with held_back(self._say_that_it_saves) as interrupt:
+            with held_back(self._say_that_it_saves) as self._interrupt:
+                while self.step < self.steps:
+                    stop = self.next_stop()
+                    first, last = loop.update_number(self.step), loop.update_number(stop)
+                    began = time.perf_counter()
                     state, reduced = data.train(data.columns, key, first, last, state)
-                    interrupt.wait_for(reduced)
+                    self._interrupt.wait_for(reduced)
                     metrics = {name: float(value) for name, value in jax.device_get(reduced).items()}
-                self.trained_to(stop, metrics, time.perf_counter() - began, lambda state=state: state, interrupt.came)
+                    took = time.perf_counter() - began
+                    self.trained_to(stop, metrics, took, lambda state=state: state, self._interrupt.came)
+            if self._interrupt.came:  # in the last moment; what is trained after it is not to begin
+                raise KeyboardInterrupt(f"seed {self.seed} is finished")
             self.collect()
 
     def begin(self, dataset: Dataset) -> None:
@@ -327,7 +331,8 @@ class SeedTraining:
             self._pending.append(_Pending(checkpoint, summary, found))
             self.record.evaluation_due = False  # of checkpoints from here on
             return
-        evaluation = self.evaluate(policy, self.directory, checkpoint.step)
+        with self._interrupt.passing() if self._interrupt else contextlib.nullcontext():
+            evaluation = self.evaluate(policy, self.directory, checkpoint.step)
         _add(self.record.seconds, "evaluate", time.perf_counter() - began)
         self._take(evaluation, checkpoint, summary)
 
