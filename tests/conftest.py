@@ -17,6 +17,7 @@ def _own_cores() -> None:
     if count == 1 or not worker.startswith("gw") or not hasattr(os, "sched_setaffinity"):
         return
     available = sorted(os.sched_getaffinity(0))
+    os.environ["ODAF_TESTS_CORES"] = " ".join(map(str, available))  # for tests about the number of cores
     share = available[int(worker.removeprefix("gw")) :: count]
     if share:
         os.sched_setaffinity(0, share)

@@ -9,8 +9,10 @@ from pathlib import Path
 from typing import Any
 
 
-def prepare_process(directory: str | Path | None, cores: str | None = None, device: str | None = None) -> None:
-    """Lets JAX count on as many cores, and take the device, that a run was begun with.
+def prepare_process(
+    directory: str | Path | None, cores: str | None = None, device: str | None = None, deterministic: bool = True
+) -> None:
+    """Lets JAX count on as many cores, and take the device, that a run was begun with; makes a GPU's sums repeatable.
 
     Once JAX is loaded it is too late, and nothing is changed; training then says beforehand what differs. What the user
     has set in the environment stays.
@@ -19,6 +21,7 @@ def prepare_process(directory: str | Path | None, cores: str | None = None, devi
         directory: where the run goes or lies, if it is known.
         cores: asked for on the command line; without it, those in the run's record.
         device: asked for on the command line; without it, that in the run's record.
+        deterministic: whether a GPU adds in a fixed order.
     """
     if "jax" in sys.modules:
         return
@@ -28,6 +31,20 @@ def prepare_process(directory: str | Path | None, cores: str | None = None, devi
         os.environ.setdefault("NPROC", wanted)
     if (device or record.get("device")) == "cpu":
         os.environ.setdefault("JAX_PLATFORMS", "cpu")
+    elif deterministic and _has_gpu():
+        make_deterministic()
+
+
+def make_deterministic() -> None:
+    """Asks XLA for sums in a fixed order on a GPU, unless its flags say something of that already."""
+    flags = os.environ.get("XLA_FLAGS", "")
+    if not any(word in flags for word in ("xla_gpu_deterministic_ops", "xla_gpu_exclude_nondeterministic_ops")):
+        os.environ["XLA_FLAGS"] = f"{flags} --xla_gpu_deterministic_ops=true".strip()
+
+
+def _has_gpu() -> bool:
+    """Whether this machine shows one of the makers' devices; JAX would have to be loaded to know more."""
+    return any(Path("/dev").glob("nvidia[0-9]*")) or Path("/dev/kfd").exists()
 
 
 def option_given(arguments: list[str], option: str) -> str | None:

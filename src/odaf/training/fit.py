@@ -19,7 +19,7 @@ from odaf.training.evaluator import Evaluator
 from odaf.training.files import plain, read_json, write_json
 from odaf.training.lock import locked
 from odaf.training.logging import Logger
-from odaf.training.process_record import process_record, why_bits_differ
+from odaf.training.process_record import process_record, why_bits_differ, why_bits_do_not_repeat
 from odaf.training.progress import ProgressReport, default_progress
 from odaf.training.run_directory import RunDirectory
 from odaf.training.seeds import SeedTraining, compiling_stage, prepare
@@ -123,6 +123,8 @@ def open_run(
         new = not (path / "config.json").exists()
         process = process_record(_cores(settings, apart), settings.precision or "default")
         run = run_writing.begin(path, config, plain(data), process, dataset)
+        if new and (reason := why_bits_do_not_repeat(process)):
+            report.message(f"{path}: {reason}, set before Python starts; the bits of this run will not repeat")
         yield run, _unfinished(run, settings, evaluate, report, None if new else process)
 
 

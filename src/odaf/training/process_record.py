@@ -52,9 +52,17 @@ def why_bits_differ(before: dict[str, Any], now: dict[str, Any]) -> str:
     new = {**{name: now[name] for name in names if name in before}, **now["versions"]}
     different = [name for name in {**old, **new} if old.get(name) != new.get(name)]
     reasons = [f"{name} was {old.get(name)}, is {new.get(name)}" for name in different]
-    if now["device"].startswith("gpu") and not any(flag in now["xla_flags"] for flag in _DETERMINISTIC):
-        reasons.append(f"a GPU adds in no fixed order without XLA_FLAGS={_DETERMINISTIC[0]}")
+    if unrepeatable := why_bits_do_not_repeat(now):
+        reasons.append(unrepeatable)
     return ", ".join(reasons)
+
+
+def why_bits_do_not_repeat(process: dict[str, Any]) -> str:
+    """In words, what keeps a process from giving its own bits again; empty where nothing is known to."""
+    flags = process["xla_flags"]
+    if process["device"].startswith("gpu") and not any(flag in flags for flag in _DETERMINISTIC):
+        return f"a GPU adds in no fixed order without XLA_FLAGS={_DETERMINISTIC[0]}"
+    return ""
 
 
 @functools.cache
