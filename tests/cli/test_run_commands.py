@@ -218,7 +218,7 @@ def test_report_wants_a_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
 def test_a_directory_without_a_run_is_explained(words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     assert main([word.format(tmp_path) for word in words]) == 2
     err = capsys.readouterr().err
-    assert str(tmp_path / "config.json") in err
+    assert str(tmp_path / "config.json") in err and "`odaf.fit` wrote" in err
     assert len(err.splitlines()) == 1
 
 
@@ -274,7 +274,7 @@ def test_a_bad_file_gives_one_message_and_code_2_and_leaves_nothing(
 
 
 def test_an_interrupted_run_says_how_to_go_on_and_does(data: Path, tmp_path: Path):
-    out = tmp_path / "run"
+    out = tmp_path / "my run"
     words = ["train", "behaviour-cloning", "--data", str(data), "--out", str(out), "--evaluate-every", "0"]
     words += ["--steps", "100000000", *CLONING, "--checkpoint-every", "1000"]
     process = subprocess.Popen(
@@ -287,7 +287,7 @@ def test_an_interrupted_run_says_how_to_go_on_and_does(data: Path, tmp_path: Pat
     process.send_signal(signal.SIGINT)
     _, err = process.communicate(timeout=60)
     assert process.returncode == 130, err
-    assert err.splitlines()[-1].endswith(f"go on with: odaf resume {out}")
+    assert err.splitlines()[-1].endswith(f"go on with: odaf resume '{out}'")
     assert odaf.load_run(out).summary[0]["step"] > 0
 
 
@@ -379,7 +379,28 @@ def test_a_run_for_each_data_set_and_value(data: Path, tmp_path: Path, capsys, h
     assert main(words) == 0  # nothing is left to do
 
 
-def test_values_and_ranges_are_read_or_refused():
+def test_data_without_an_environment_leave_the_evaluation_of_others_alone(data: Path, tmp_path: Path, capsys):
+    plant, folder = write_data(tmp_path / "plant.h5", None), tmp_path / "my runs"
+    words = ["train", "behaviour-cloning", "--data", str(plant), str(data), "--out", str(folder), *CLONING]
+    words += ["--steps", "6", "--episodes", "2", "--seeds=0..1"]
+    for _ in range(2):  # the second time nothing is left to do
+        assert main([*words, "--lanes", "4"]) == 0
+        printed, said = capsys.readouterr()
+        assert said.startswith(f"{plant} names no environment and no --env was given: policies of these data are not")
+        assert f"odaf report '{folder}' --out" in printed
+    assert [odaf.load_run(folder / name).files.config["evaluate"] is None for name in ("plant", "maze")] == [
+        True,
+        False,
+    ]
+    assert odaf.load_run(folder / "maze").scores().by_seed[1].step == 6
+    assert (
+        main([*words[:2], "--data", str(data), *words[5:], "--set", "batch_size=4,8", "--out", str(folder / "maze")])
+        == 2
+    )
+    assert "maze: holds a run; several runs need a folder of their own" in capsys.readouterr().err
+
+
+def test_values_and_ranges_are_read_or_refused(capsys):
     assert with_ranges(["--seeds", "0..2", "7", "--out", "0..2"]) == ["--seeds", "0", "1", "2", "7", "--out", "0..2"]
     assert values_of(["outcome.weight=0.1,1", "hidden-sizes=[8,8],[16]", "critic_norm=none,layer", "a=true"]) == {
         "outcome.weight": [0.1, 1], "hidden_sizes": [[8, 8], [16]], "critic_norm": ["none", "layer"], "a": [True]
@@ -395,3 +416,7 @@ def test_values_and_ranges_are_read_or_refused():
     for words in (["--seeds", "3..1"], ["--seeds", "0..99999999"]):
         with pytest.raises(odaf.ConfigError, match="smaller number first"):
             with_ranges(words)
+    assert with_ranges(["--seeds=0..1", "--out=0..1"]) == ["--seeds", "0", "1", "--out=0..1"]
+    words = ["train", "td3-bc", "--data", "x.h5", "--out", "x", "--set"]
+    assert main([*words, "discount="]) == 2, "an option of the same name is not meant"
+    assert "--set 'discount=': write a setting" in capsys.readouterr().err

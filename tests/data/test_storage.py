@@ -1,5 +1,6 @@
 """Our file format: round trips, atomic writes, and a message for every way a file can be wrong."""
 
+import errno
 import json
 import os
 from typing import Any
@@ -12,6 +13,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from odaf.data import Dataset, convert, fingerprint, storage
+from odaf.data.writing import write_atomically
 from odaf.errors import DatasetError
 
 
@@ -152,6 +154,15 @@ def test_saving_replaces_the_old_file_only_when_complete(path, monkeypatch):
     assert [entry.name for entry in path.parent.iterdir()] == ["log.h5"]
     small(rewards=np.zeros(12)).save(path)
     assert not Dataset.load(path).rewards.any()
+
+
+def test_a_full_disk_names_the_file_without_room(tmp_path):
+    def write(file):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with pytest.raises(OSError, match="log.bin") as caught:
+        write_atomically(tmp_path / "log.bin", write)
+    assert caught.value.filename == str(tmp_path / "log.bin") and not list(tmp_path.iterdir())
 
 
 def test_saving_into_a_missing_folder(tmp_path):

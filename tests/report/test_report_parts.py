@@ -129,6 +129,9 @@ def test_runs_are_named_by_what_differs_between_them(run_writer, tmp_path):
     assert named(ten, weight) == ["odaf (b)", "odaf (c)"], "the same log under another name"
     changed(weight, "sha256", "cd34", "data.json")
     assert named(ten, weight) == ["odaf, data stitch.h5", "odaf, data other.h5"]
+    changed(weight, "path", "/logs/new/stitch.h5", "data.json")
+    changed(ten, "path", "/logs/old/stitch.h5", "data.json")
+    assert named(ten, weight) == ["odaf, data old/stitch.h5", "odaf, data new/stitch.h5"], "files of one name"
 
 
 def test_of_many_settings_those_name_a_run_that_tell_it_apart(run_writer, tmp_path):

@@ -49,6 +49,14 @@ def test_a_run_is_cited_without_the_terms_that_were_off(tmp_path):
     assert keys(str(run)) == {"learner ensemble-sac": ["an2021edac"], "term diversity": ["an2021edac"]}
 
 
+def test_a_folder_of_runs_cites_them_all(tmp_path):
+    for name in ("a", "b"):
+        scored_run(tmp_path / name, {}, "mine", terms=[{"name": "diversity", "weight": 1.0}], num_critics=4)
+    text = citing.bibliography([str(tmp_path)], "text")
+    assert text.splitlines()[:1] + text.splitlines()[3:4] == [str(tmp_path / "a"), str(tmp_path / "b")]
+    assert text.count("[an2021edac]") == 1
+
+
 def test_bibtex_holds_each_paper_once_in_the_words_of_the_paper(capsys: pytest.CaptureFixture[str]):
     assert main(["cite", "odaf-rorl", "rorl"]) == 0
     out = capsys.readouterr().out

@@ -60,6 +60,13 @@ def test_it_trains_resumes_and_is_evaluated_from_python(awac, maze, tmp_path):
         odaf.load_run(tmp_path / "run").policy()
 
 
+def test_several_values_of_its_numbers_make_several_runs(awac, maze, tmp_path):
+    assert "awac" not in ALGORITHMS
+    maze.save(tmp_path / "maze.h5")
+    plans = odaf.combinations(awac(**SMALL), [tmp_path / "maze.h5"], {"temperature": [0.5, 1.0]}, tmp_path / "runs")
+    assert [plan.algorithm for plan in plans] == [awac(**SMALL, temperature=each) for each in (0.5, 1.0)]
+
+
 def test_it_prefers_the_better_half_of_what_was_logged(awac, tmp_path):
     """The reward is the action, whatever the state."""
     rng = np.random.default_rng(0)

@@ -20,7 +20,7 @@ class CiteOptions:
         tyro.conf.Positional[tuple[str, ...]],
         tyro.conf.arg(metavar="METHOD [METHOD ...]", help_behavior_hint="(at least one)"),
     ]
-    """Presets (or files of them), learners, terms, or run directories."""
+    """Presets (or files of them), learners, terms, run directories, or folders that hold such directories."""
     format: Literal["bibtex", "text"] = "bibtex"
     """Entries for a BibTeX file, or lines to read."""
 

@@ -1,6 +1,7 @@
 """Ctrl-C during a long command: the line that says how to go on."""
 
 import contextlib
+import shlex
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -11,15 +12,16 @@ def resumable(directory: Path) -> Iterator[None]:
     try:
         yield
     except KeyboardInterrupt:
+        place = shlex.quote(str(directory))
         saved = ", ".join(
             f"seed {folder.parent.name.removeprefix('seed-')} at update {max(steps):,}"
             for folder in sorted(directory.glob("seed-*/checkpoints"))
             if (steps := [int(child.name) for child in folder.iterdir() if child.name.isdigit()])
         )
         if saved:
-            hint = f"saved: {saved}; go on with: odaf resume {directory}"
+            hint = f"saved: {saved}; go on with: odaf resume {place}"
         elif (directory / "config.json").exists():
-            hint = f"nothing was trained yet; begin with: odaf resume {directory}"
+            hint = f"nothing was trained yet; begin with: odaf resume {place}"
         else:
             hint = "nothing was trained yet; repeat the command to begin again"
         raise KeyboardInterrupt(hint) from None

@@ -1,6 +1,7 @@
 """How results are printed: plain tables that a terminal, a file and a person can read."""
 
 import math
+import shlex
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -99,6 +100,11 @@ def _interval(estimate: "Estimate") -> str:
     return "-" if estimate.count < 2 else f"{number(estimate.low)} to {number(estimate.high)}"
 
 
+def quoted(place: Path) -> str:
+    """A path as a word of the shell, in a command that is to be given next."""
+    return shlex.quote(str(place))
+
+
 def print_run(run: "Run") -> None:
     """The table of a run, the mean over its seeds, its warnings, and what to do next."""
     summaries = run.summary
@@ -110,7 +116,7 @@ def print_run(run: "Run") -> None:
     for seed, summary in summaries.items():
         for warning in summary["warnings"]:
             print(f"\nwarning, seed {seed}: {warning['message']}")
-    print(f"\nThe run is in {run.directory}; draw it with: odaf report {run.directory} --out report.html")
+    print(f"\nThe run is in {run.directory}; draw it with: odaf report {quoted(run.directory)} --out report.html")
 
 
 def print_runs(runs: Sequence["Run"], folder: Path) -> None:
@@ -136,7 +142,7 @@ def print_runs(runs: Sequence["Run"], folder: Path) -> None:
         for seed, summary in run.summary.items():
             for warning in summary["warnings"]:
                 print(f"\nwarning, {run.directory}, seed {seed}: {warning['message']}")
-    print(f"\nThe runs are in {folder}; draw them with: odaf report {folder} --out report.html")
+    print(f"\nThe runs are in {folder}; draw them with: odaf report {quoted(folder)} --out report.html")
 
 
 def print_report(report: "Report") -> None:

@@ -1,6 +1,7 @@
 """`odaf train PRESET`: learn policies from data sets; every field of the preset is an option."""
 
 import dataclasses
+import itertools
 import re
 import sys
 import tomllib
@@ -137,6 +138,8 @@ def _train_many(
     for plan in runs:
         refuse_foreign(plan.directory)
     settings = RunSettings(**vars(how), evaluate=_evaluation(options, {plan.data_path: plan.dataset for plan in runs}))
+    if options.env is None:
+        runs = [dataclasses.replace(plan, evaluated=plan.dataset.environment is not None) for plan in runs]
     trainings = len(runs) * len(settings.seeds)
     if settings.workers is None and (settings.lanes or default_lanes(trainings)) == 1:
         workers = default_workers(len(settings.seeds), settings.cores or 1)
@@ -149,7 +152,10 @@ def _train_many(
 def with_ranges(arguments: list[str]) -> list[str]:
     """The words of a command with `0..3` behind `--seeds` written out as `0 1 2 3`."""
     found, of_seeds = [], False
-    for word in arguments:
+    parted = itertools.chain.from_iterable(
+        word.split("=", 1) if word.startswith("--seeds=") else [word] for word in arguments
+    )
+    for word in parted:
         if word.startswith("--"):
             of_seeds = word == "--seeds"
         first, dots, last = word.partition("..")
@@ -175,9 +181,9 @@ def values_of(words: Sequence[str]) -> dict[str, list[Any]]:
         name = name.replace("-", "_")
         values = [_value(value) for value in re.split(r",(?![^\[]*\])", text)]
         if not name or not equals or "" in values:
-            raise ConfigError(f"--set {word}: write a setting and its values, as in outcome.weight=0.1,1")
+            raise ConfigError(f"--set {word!r}: write a setting and its values, as in outcome.weight=0.1,1")
         if name in found:
-            raise ConfigError(f"--set {word}: {name} stands there twice; put all its values behind one name")
+            raise ConfigError(f"--set {word!r}: {name} stands there twice; put all its values behind one name")
         found[name] = values
     return found
 
@@ -198,8 +204,10 @@ def _evaluation(options: RunOptions, datasets: "Mapping[Any, Dataset]") -> "Roll
     if options.env is None and (nameless := [str(path) for path, each in datasets.items() if each.environment is None]):
         verb = "names" if len(nameless) == 1 else "name"
         which = ", ".join(nameless)
-        print(f"{which} {verb} no environment and no --env was given: policies are not evaluated", file=sys.stderr)
-        return None
+        whose = "policies" if len(nameless) == len(datasets) else "policies of these data"
+        print(f"{which} {verb} no environment and no --env was given: {whose} are not evaluated", file=sys.stderr)
+        if len(nameless) == len(datasets):
+            return None
     return Rollouts(
         options.env,
         episodes=options.episodes,

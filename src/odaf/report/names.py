@@ -72,9 +72,12 @@ def _checked(names: list[str], runs: Sequence[RunRecord]) -> list[str]:
 
 def _told_apart(runs: Sequence[RunRecord]) -> list[list[str]]:
     """For each of several runs of one method, the settings that name it."""
-    prints = data_prints(runs)
+    prints = [str(print_) for print_ in data_prints(runs)]
     several = len(set(prints)) > 1
-    entries = [_settings(run, str(print_)[:8] if several else "") for run, print_ in zip(runs, prints, strict=True)]
+    files = _files(runs, prints)
+    entries = [
+        _settings(run, files[print_], print_[:8] if several else "") for run, print_ in zip(runs, prints, strict=True)
+    ]
     fields = list(dict.fromkeys(field for one in entries for field in one))
     values = {field: [one.get(field, ABSENT) for one in entries] for field in fields}
     differing = [field for field in fields if len(set(values[field])) > 1]
@@ -89,7 +92,17 @@ def _told_apart(runs: Sequence[RunRecord]) -> list[list[str]]:
     return [[_said(field, values[field][run]) for field in chosen] for run in range(len(runs))]
 
 
-def _settings(run: RunRecord, data_print: str) -> dict[str, str]:
+def _files(runs: Sequence[RunRecord], prints: Sequence[str]) -> dict[str, str]:
+    """For each print of data the file's name, with as many of its folders as tell the files apart."""
+    paths = {print_: Path(str(run.data.get("path") or ABSENT)) for run, print_ in zip(runs, prints, strict=True)}
+    for count in range(1, 1 + max(len(path.parts) for path in paths.values())):
+        named = {print_: "/".join(path.parts[-count:]) for print_, path in paths.items()}
+        if len(set(named.values())) == len(named):
+            return named
+    return {print_: path.name for print_, path in paths.items()}
+
+
+def _settings(run: RunRecord, file: str, data_print: str) -> dict[str, str]:
     """What may tell a run from another, in the order in which it is looked at; settings of the learner come first.
 
     Data are named by their file, and by `data_print`; where that is empty, all runs saw the same data.
@@ -100,7 +113,7 @@ def _settings(run: RunRecord, data_print: str) -> dict[str, str]:
     found = {_short(name): value for name, value in settings.items()}
     others: dict[str, Any] = {
         "steps": config.get("steps", ABSENT),
-        "data": Path(str(run.data.get("path", ABSENT))).name if data_print else "",
+        "data": file if data_print else "",
         "environment": environment_name(run.evaluation_environment or {}),
         "data print": data_print,
         "seeds": " ".join(map(str, config.get("seeds") or ())) or ABSENT,

@@ -1,6 +1,7 @@
 """Which papers a method implements: a preset, a learner, a term, or the learner of a run."""
 
 import difflib
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -43,12 +44,12 @@ def bibliography(methods: Sequence[str], layout: str = "bibtex") -> str:
     """Every paper of the methods once, after lines that say what each is for, and this package itself last.
 
     Args:
-        methods: as `parts_of` takes them.
+        methods: as `parts_of` takes them, or folders that hold run directories.
         layout: "bibtex", whose leading lines are comments, or "text".
     """
     mark = "% " if layout == "bibtex" else ""
     lines, entries = [], {}
-    for method in methods:
+    for method in itertools.chain.from_iterable(map(_members, methods)):
         lines.append(f"{mark}{method}")
         for part in parts_of(method):
             keys = ", ".join(citation.key for citation in part.citations)
@@ -60,6 +61,13 @@ def bibliography(methods: Sequence[str], layout: str = "bibtex") -> str:
     if layout == "bibtex":
         return "\n\n".join(["\n".join(lines), *(citation.bibtex() for citation in found)])
     return "\n".join([*lines, "", *(f"[{citation.key}] {citation.text()}" for citation in found)])
+
+
+def _members(method: str) -> list[str]:
+    """The runs of a folder that holds some and is no run itself; any other method alone."""
+    if (Path(method) / "config.json").is_file() or method in {*presets.names(), *ALGORITHMS, *TERMS}:
+        return [method]
+    return sorted(str(file.parent) for file in Path(method).glob("*/config.json")) or [method]
 
 
 def _resolved(method: str) -> Any:

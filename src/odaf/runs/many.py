@@ -15,6 +15,7 @@ from typing import Any, Unpack
 
 from odaf.algorithms import config
 from odaf.algorithms.base import Algorithm
+from odaf.algorithms.registry import register_parts
 from odaf.data.dataset import Dataset
 from odaf.errors import ConfigError
 from odaf.evaluation.runs import Run
@@ -37,6 +38,7 @@ class Plan:
         preset: name under which the learner's settings are known.
         data_path: the file that `dataset` was read from.
         seeds: in place of those in the settings.
+        evaluated: False tries no policy of this run, as where its data name no environment.
     """
 
     algorithm: Algorithm
@@ -45,10 +47,16 @@ class Plan:
     preset: str | None = None
     data_path: Path | None = None
     seeds: tuple[int, ...] | None = None
+    evaluated: bool = True
 
     def number(self, settings: RunSettings) -> int:
         """How many trainings it is."""
         return len(self.seeds or settings.seeds)
+
+    def settings_of(self, settings: RunSettings) -> RunSettings:
+        """How this run is to go, where `settings` say it for all."""
+        evaluate = settings.evaluate if self.evaluated else None
+        return replace(settings, seeds=self.seeds or settings.seeds, evaluate=evaluate)
 
 
 def combinations(
@@ -71,7 +79,10 @@ def combinations(
         ConfigError: a setting does not exist, a value is of the wrong type, or two combinations are the same.
         DatasetError: a file cannot be read.
     """
+    register_parts(algorithm)  # values are written into its record, which is read back by its name
     paths, folder = [Path(file) for file in data], Path(directory)
+    if (folder / "config.json").exists() and (len(paths) > 1 or any(len(each) > 1 for each in values.values())):
+        raise ConfigError(f"{folder}: holds a run; several runs need a folder of their own: give another with --out")
     if len({path.resolve() for path in paths}) < len(paths):
         raise ConfigError(f"data: a file is named twice: {', '.join(map(str, paths))}")
     names = [path.stem if _stems_differ(paths) else re.sub(r"[\\/]+", "-", str(path.with_suffix(""))) for path in paths]
@@ -136,7 +147,7 @@ def fit_many(
                 plan.algorithm,
                 plan.dataset,
                 directory=plan.directory,
-                settings=replace(settings, lanes=1, seeds=plan.seeds or settings.seeds),
+                settings=replace(plan.settings_of(settings), lanes=1),
                 progress=report,
                 preset=plan.preset,
                 data_path=plan.data_path,
@@ -158,7 +169,7 @@ def _in_lanes(
         players = single.players_for(single.resolved(settings, runs[0].directory))
         stack.callback(single.close, players)
         for plan in runs:
-            own = single.resolved(replace(settings, seeds=plan.seeds or settings.seeds), plan.directory)
+            own = single.resolved(plan.settings_of(settings), plan.directory)
             evaluator = single.evaluator_for(own, plan.dataset, players)
             stack.callback(single.close, evaluator)
             opened = open_run(

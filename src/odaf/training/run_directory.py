@@ -37,7 +37,7 @@ VERSION = 2
 _READABLE = (1, 2)
 _TRAINED_WITH = ("algorithm", "evaluate", "checkpoint_every", "keep_checkpoints", "stretch", "on_divergence")
 
-_NO_RUN = "Give the directory that `odaf train --out` or `odaf.fit(directory=...)` wrote."
+_NO_RUN = "Give the directory that `odaf train --out` or `odaf.fit` wrote."
 _DAMAGED = "Restore the file, or train again."
 
 
