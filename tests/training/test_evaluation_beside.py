@@ -1,6 +1,7 @@
 """Policies that are played while training goes on leave what they leave when training waits for them."""
 
 import json
+import shutil
 from concurrent.futures import Future
 from pathlib import Path
 
@@ -88,8 +89,45 @@ def test_evaluations_that_a_crash_cut_off_are_made_when_the_run_goes_on(tiny, tm
         patch.setattr(SeedTraining, "collect", lambda self, wait_for=0: None)
         _fit(tiny, tmp_path / "broken", _beside(tiny, 99))  # as if the process had ended before any answer
     assert RunDirectory(tmp_path / "broken").summary(0)["evaluation_due"]
-    for evaluator in (tiny.TinyEvaluator(every=4), _beside(tiny, 99)):
-        _same(tiny, _fit(tiny, tmp_path / "broken", evaluator), unbroken)
+    for late in (0, 99):
+        shutil.copytree(tmp_path / "broken", tmp_path / f"broken-{late}")
+        _same(tiny, _fit(tiny, tmp_path / f"broken-{late}", _beside(tiny, late)), unbroken)
+    _same(tiny, _fit(tiny, tmp_path / "broken", tiny.TinyEvaluator(every=4)), unbroken)
+
+
+class _Crash(BaseException):
+    pass
+
+
+@pytest.mark.parametrize("late", [0, 1, 3])
+def test_a_crash_at_any_answer_loses_nothing(tiny, tmp_path, monkeypatch, late):
+    """The process ends when the n-th answer was taken, or just before; then again in each process that goes on."""
+    unbroken = _fit(tiny, tmp_path / "unbroken", tiny.TinyEvaluator(every=4))
+    take, crashes = SeedTraining._take, 0
+    for before in (True, False):
+        for answer in (1, 2, 3):
+            out = tmp_path / f"{before}-{answer}"
+            for _ in range(9):
+                count = 0
+
+                def crashing(self, *arguments, before=before, answer=answer):
+                    nonlocal count
+                    count += 1
+                    if before and count == answer:
+                        raise _Crash
+                    take(self, *arguments)
+                    if not before and count == answer:
+                        raise _Crash
+
+                try:
+                    with monkeypatch.context() as patch:
+                        patch.setattr(SeedTraining, "_take", crashing)
+                        _fit(tiny, out, _beside(tiny, late))
+                    break
+                except _Crash:
+                    crashes += 1
+            _same(tiny, _fit(tiny, out, _beside(tiny, late)), unbroken)
+    assert crashes > 9
 
 
 def test_an_environment_that_fails_is_named_and_its_evaluation_stays_due(tiny, tmp_path):

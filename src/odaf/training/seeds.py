@@ -210,7 +210,7 @@ class SeedTraining:
         try:
             for logger in self._loggers:
                 logger.open(self.directory, self.step)
-            if not self.is_finished():
+            if self.step < self.steps or self.record.evaluation_due:
                 self.record.status = "running"
             self.write_summary()
             self.progress.start(training_stage(self.seed), self.steps, self.step)
@@ -329,7 +329,8 @@ class SeedTraining:
         if isinstance(self.evaluate, EvaluatorBeside):
             found = self.evaluate.submit(policy, self.directory, checkpoint.step)
             self._pending.append(_Pending(checkpoint, summary, found))
-            self.record.evaluation_due = False  # of checkpoints from here on
+            if checkpoint.step == self.step:
+                self.record.evaluation_due = False  # of checkpoints from here on
             return
         with self._interrupt.passing() if self._interrupt else contextlib.nullcontext():
             evaluation = self.evaluate(policy, self.directory, checkpoint.step)
@@ -360,9 +361,10 @@ class SeedTraining:
         for kind, sentence in found.warnings.items():
             if kind not in {warning.kind for warning in record.warnings}:
                 self._warn(TrainingWarning(kind, step, f"update {step:,}: {sentence}"))
-        record.evaluation = {"step": step, **found.summary}
-        stands_there = self.checkpoint is not None and self.checkpoint.step == step
-        if stands_there:
+        evaluation = {"step": step, **found.summary}
+        if record.evaluation is None or record.evaluation["step"] <= step:
+            record.evaluation = evaluation
+        if stands_there := self.step == step:
             record.evaluation_due = False
             if self.step >= self.steps and record.status != "diverged":
                 record.status = "finished"
@@ -372,8 +374,7 @@ class SeedTraining:
         record.seconds["total"] = time.perf_counter() - self.began
         summary = self._summary()
         if not stands_there:
-            evaluated = {name: summary[name] for name in ("evaluation", "warnings")}
-            summary = {**then, **evaluated, "evaluation_due": False}
+            summary = {**then, "evaluation": evaluation, "warnings": summary["warnings"], "evaluation_due": False}
         if checkpoint.path.exists():  # not if it was pruned meanwhile
             checkpoints.rewrite_record(checkpoint, {"summary": summary})
         self.write_summary()
