@@ -458,6 +458,10 @@ FRAME_TROUBLE = {
     "empty lists": (pl.Series("level", [[]] * 10, dtype=pl.List(pl.Float64)), "column 'level' holds empty lists"),
     "nested": (pl.Series("level", [[[1.0]]] * 10), r"'level' holds cells of type List\(List\(Float64\)\)"),
     "list of text": (pl.Series("level", [["a"]] * 10), r"'level' holds cells of type List\(String\)"),
+    "flag, first row": (
+        pl.Series("tripped", [2, 1, 0, 0, 0, 0, 0, 0, 0, 0]),
+        r"'tripped' is neither true nor false in row 0",
+    ),
     "flag": (pl.Series("tripped", [0, 1, 2, 0, 0, 0, 0, 0, 0, 0]), r"'tripped' is neither true nor false in row 2"),
     "text flag": (pl.Series("tripped", ["no"] * 10), "'tripped' holds text"),
     "no flags": (pl.Series("tripped", [None] * 10), "'tripped' has no value in 10 of 10 rows"),

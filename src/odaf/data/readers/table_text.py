@@ -97,9 +97,11 @@ def moments_of(cells: Cells, format: str | None) -> pl.Series:
 
 
 def begins_with_a_unit(cells: Cells) -> bool:
-    """Whether a number stands in the second row, in whatever spelling, and none in the first."""
+    """Whether a number stands in the second row, in whatever spelling, and none in the first, of text."""
+    if not cells.units_row or cells.values.dtype != pl.String:
+        return False
     first = [re.fullmatch(_NUMBER, (text or "").strip()) for text in cells.values.head(2).to_list()]
-    return cells.units_row and cells.values.dtype == pl.String and len(first) == 2 and not first[0] and bool(first[1])
+    return len(first) == 2 and not first[0] and bool(first[1])
 
 
 def floats_of(text: pl.Series, decimal_comma: bool) -> pl.Series:
