@@ -126,6 +126,14 @@ TD3_BC = Citation(
     _NEURIPS,
     "2106.06860",
 )
+IQL = Citation(
+    "kostrikov2022iql",
+    ("Ilya Kostrikov", "Ashvin Nair", "Sergey Levine"),
+    "Offline Reinforcement Learning with Implicit Q-Learning",
+    2022,
+    "International Conference on Learning Representations",
+    "2110.06169",
+)
 CLONING = Citation(
     "pomerleau1988alvinn",
     ("Dean A. Pomerleau",),

@@ -17,6 +17,7 @@ from typing import Any, Generic, TypeVar
 from odaf.algorithms.base import Algorithm
 from odaf.algorithms.behaviour_cloning import BehaviourCloning
 from odaf.algorithms.ensemble_sac import EnsembleSAC
+from odaf.algorithms.iql import IQL
 from odaf.algorithms.td3_bc import TD3BC
 from odaf.algorithms.terms import BUILT_IN, Term
 from odaf.errors import ConfigError
@@ -82,7 +83,10 @@ class Registry(Mapping[str, Kind], Generic[Kind]):
 
 
 ALGORITHMS: Registry[type[Algorithm]] = Registry(
-    Algorithm, lambda entry: getattr(entry, "kind", None), "odaf.algorithms", (EnsembleSAC, BehaviourCloning, TD3BC)
+    Algorithm,
+    lambda entry: getattr(entry, "kind", None),
+    "odaf.algorithms",
+    (EnsembleSAC, BehaviourCloning, TD3BC, IQL),
 )
 TERMS: Registry[type[Term]] = Registry(Term, lambda entry: getattr(entry, "name", None), "odaf.terms", BUILT_IN)
 

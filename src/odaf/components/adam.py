@@ -1,7 +1,8 @@
 """Adam as two functions of arrays, so that learners carry nothing but its moments from update to update."""
 
+import jax.numpy as jnp
 import optax
-from jaxtyping import PyTree
+from jaxtyping import Array, Float, PyTree
 
 from odaf.components.numbers import Number
 
@@ -9,6 +10,11 @@ from odaf.components.numbers import Number
 def initial_moments(parameters: PyTree) -> optax.OptState:
     """Adam's state before the first step: zeros of the parameters' shapes, and a count of steps."""
     return optax.adam(1.0).init(parameters)  # whatever the rate, the state is the same
+
+
+def cosine_fall(angle: Float[Array, ""]) -> Float[Array, ""]:
+    """Factor of a step size that falls along half a cosine: 1 at an angle of 0, 0 at pi."""
+    return 0.5 * (1.0 + jnp.cos(angle))
 
 
 def adam_step(

@@ -1,4 +1,4 @@
-"""The tanh-squashed diagonal Gaussian of soft actor-critic."""
+"""The tanh-squashed diagonal Gaussian of soft actor-critic, and the plain one."""
 
 import math
 
@@ -7,6 +7,14 @@ from jaxtyping import Array, Float
 
 LOG_TWO_PI = math.log(2.0 * math.pi)
 SQUASH_EPSILON = 1e-6
+
+
+def gaussian_log_density(
+    mean: Float[Array, "*rows act_dim"], log_std: Float[Array, "*rows act_dim"], action: Float[Array, "*rows act_dim"]
+) -> Float[Array, "*rows"]:
+    """log N(a; mean, std^2) of a diagonal Gaussian that is not squashed, summed over action dimensions, in nats."""
+    noise = (action - mean) * jnp.exp(-log_std)
+    return jnp.sum(-0.5 * (jnp.square(noise) + LOG_TWO_PI) - log_std, axis=-1)
 
 
 def tanh_gaussian_log_density(

@@ -20,7 +20,7 @@ import optax
 from jaxtyping import Array, Float, Int, Integer, PRNGKeyArray, PyTree
 
 from odaf.components import together
-from odaf.components.adam import adam_step, initial_moments
+from odaf.components.adam import adam_step, cosine_fall, initial_moments
 from odaf.components.targets import copy_of, polyak
 from odaf.errors import DivergenceError
 
@@ -239,7 +239,7 @@ def _stretch(
         (value, figures), gradient = jax.value_and_grad(loss, has_aux=True)(state.parameters)
         rate = numbers["learning_rate"]
         if recipe.schedule == "cosine":
-            rate = rate * (0.5 * (1.0 + jnp.cos(index.astype(jnp.float32) * numbers["turn"])))
+            rate = rate * cosine_fall(index.astype(jnp.float32) * numbers["turn"])
         parameters, moments = adam_step(rate, gradient, state.moments, state.parameters)
         slow_copy = None if state.slow is None else polyak(state.slow, parameters, numbers["slow_rate"])
         return _State(parameters, moments, slow_copy), {**figures, "loss": value}

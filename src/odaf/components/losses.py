@@ -5,6 +5,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from odaf.components.critics import CriticEnsemble, over_members
+from odaf.components.numbers import Number
 
 
 def td_loss(values: Float[Array, " rows"], target: Float[Array, " rows"]) -> Float[Array, ""]:
@@ -38,6 +39,15 @@ def ensemble_td_gradient(
     else:
         gradients, values, predictions = over_members(lambda pair: member(*pair), (critics, target))
     return gradients, jnp.sum(values), predictions
+
+
+def expectile_loss(differences: Float[Array, " rows"], expectile: Number) -> Float[Array, ""]:
+    """mean_B |expectile - 1(u < 0)| u^2 of differences u = target - prediction.
+
+    The minimiser is the expectile of the targets: their mean at 0.5, towards their largest as it nears 1.
+    """
+    weights = jnp.where(differences < 0.0, 1.0 - expectile, expectile)
+    return jnp.mean(weights * jnp.square(differences))
 
 
 def soft_actor_loss(

@@ -131,6 +131,7 @@ def init_mlp(
     hidden_bias: float = 0.1,
     output_bound: float | None = None,
     products: Products = "float32",
+    orthogonal_gain: float | None = None,
 ) -> MLP:
     """Draw a network, or a stack of `members` independent ones.
 
@@ -144,6 +145,7 @@ def init_mlp(
         output_bound: the last layer's weights and biases are uniform in plus or minus this; None treats the last layer
             like a hidden one with a zero bias.
         products: what the products between hidden layers round their factors to; sums are in float32 always.
+        orthogonal_gain: every layer's weights are an orthogonal matrix times this; None draws them uniformly.
 
     Source:
         Hidden weights uniform in +-1/sqrt(fan_in), biases 0.1 and a small uniform last layer: what the authors' codes
@@ -155,7 +157,10 @@ def init_mlp(
         key_weight, key_bias = jr.split(jr.fold_in(key, index))
         is_output = index == len(sizes) - 2
         bound = output_bound if is_output and output_bound is not None else fan_in**-0.5
-        weights.append(jr.uniform(key_weight, (*stack, fan_in, fan_out), minval=-bound, maxval=bound))
+        if orthogonal_gain is None:
+            weights.append(jr.uniform(key_weight, (*stack, fan_in, fan_out), minval=-bound, maxval=bound))
+        else:
+            weights.append(_orthogonal(key_weight, members, (fan_in, fan_out), orthogonal_gain))
         if not is_output:
             biases.append(jnp.full((*stack, fan_out), hidden_bias, dtype=jnp.float32))
         elif output_bound is None:
@@ -171,3 +176,12 @@ def init_mlp(
         activation=activation,
         products=products,
     )
+
+
+def _orthogonal(
+    key: PRNGKeyArray, members: int | None, shape: tuple[int, int], gain: float
+) -> Float[Array, "*stack fan_in fan_out"]:
+    draw = jax.nn.initializers.orthogonal(gain)
+    if members is None:
+        return draw(key, shape, jnp.float32)
+    return jax.vmap(lambda key: draw(key, shape, jnp.float32))(jr.split(key, members))

@@ -1,4 +1,4 @@
-"""Actors: what a trained policy is. A tanh-Gaussian one for the soft actor-critic family, a deterministic one."""
+"""Actors: what a trained policy is. Gaussian ones, squashed by a tanh or cut to the bounds, and a deterministic one."""
 
 import abc
 
@@ -7,7 +7,11 @@ import jax.numpy as jnp
 import jax.random as jr
 from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 
-from odaf.components.distributions import exact_tanh_gaussian_log_density, sample_tanh_gaussian
+from odaf.components.distributions import (
+    exact_tanh_gaussian_log_density,
+    gaussian_log_density,
+    sample_tanh_gaussian,
+)
 from odaf.components.networks import MLP, init_mlp
 from odaf.errors import ConfigError
 
@@ -99,6 +103,38 @@ def draw_actions(
     """Several actions a state and their log-densities, from one pass through the actor."""
     mean, log_std = (jnp.broadcast_to(part[None], noise.shape) for part in actor.parameters(observations))
     return sample_tanh_gaussian(mean, log_std, noise)
+
+
+class UnsquashedGaussianActor(Actor):
+    """pi(a|s) = N(a; tanh(MLP(s)), std^2), with one standard deviation a dimension for all states.
+
+    Draws are cut to [-1, 1].
+    """
+
+    network: MLP
+    log_std: Float[Array, " act_dim"]
+
+    def act(
+        self, carry: PyTree, observations: Float[Array, "rows obs_dim"], key: PRNGKeyArray | None = None
+    ) -> tuple[Float[Array, "rows act_dim"], PyTree]:
+        """tanh(MLP(s)), or with a key a draw around it, cut to [-1, 1]."""
+        mean, log_std = self.parameters(observations)
+        if key is None:
+            return mean, carry
+        return jnp.clip(mean + jnp.exp(log_std) * jr.normal(key, mean.shape, mean.dtype), -1.0, 1.0), carry
+
+    def log_density(
+        self, observations: Float[Array, "rows obs_dim"], actions: Float[Array, "rows act_dim"]
+    ) -> Float[Array, " rows"]:
+        """log pi(a|s) in nats, of the Gaussian before draws are cut."""
+        return gaussian_log_density(*self.parameters(observations), actions)
+
+    def parameters(
+        self, observations: Float[Array, "rows obs_dim"]
+    ) -> tuple[Float[Array, "rows act_dim"], Float[Array, "rows act_dim"]]:
+        """Mean and log standard deviation (clipped to [-5, 2])."""
+        mean = jnp.tanh(self.network(observations))
+        return mean, jnp.broadcast_to(jnp.clip(self.log_std, LOG_STD_MIN, LOG_STD_MAX), mean.shape)
 
 
 class DeterministicActor(Actor):

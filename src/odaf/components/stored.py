@@ -17,7 +17,7 @@ import numpy as np
 
 from odaf.components.critics import CriticEnsemble
 from odaf.components.networks import MLP
-from odaf.components.policies import DeterministicActor, GaussianActor
+from odaf.components.policies import DeterministicActor, GaussianActor, UnsquashedGaussianActor
 from odaf.components.priors import Priors
 from odaf.errors import ConfigError
 
@@ -27,6 +27,7 @@ KINDS: dict[str, type[eqx.Module]] = {
     "gaussian": GaussianActor,
     "mlp": MLP,
     "priors": Priors,
+    "unsquashed-gaussian": UnsquashedGaussianActor,
 }
 """Modules that files may name. Add a class of your own under a name of its own to store actors made of it; it must be
 made by its fields alone, and hold arrays, modules of `KINDS`, tuples of these, None, and plain static values."""

@@ -129,11 +129,12 @@ def critic_charts(runs: Sequence[RunRecord], labels: Sequence[str]) -> list[Char
 def allowed_range(run: RunRecord) -> tuple[float, float] | None:
     """Values that the logged rewards allow at the run's discount, as the divergence monitor takes them."""
     algorithm, spec = run.config.get("algorithm"), run.data.get("spec")
-    discount = optional(algorithm.get("discount")) if isinstance(algorithm, Mapping) else None
+    settings = algorithm if isinstance(algorithm, Mapping) else {}
+    discount = optional(settings.get("discount"))
     if discount is None or not 0 <= discount < 1 or not isinstance(spec, Mapping):
         return None
     try:
-        return value_bounds(Spec.from_dict(spec), discount)
+        return value_bounds(Spec.from_dict(spec), discount, float(settings.get("reward_shift", 0.0)))
     except (KeyError, TypeError, ValueError):
         return None
 

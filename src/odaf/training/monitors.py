@@ -1,5 +1,6 @@
 """Watching a run for the ways in which offline training fails, and naming the option that helps."""
 
+import dataclasses
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -28,9 +29,18 @@ class TrainingWarning:
         return {"kind": self.kind, "step": self.step, "message": self.message}
 
 
-def value_bounds(spec: Spec, discount: float) -> tuple[float, float]:
-    """The range of values that the logged rewards allow, widened to hold 0, where fresh critics start."""
-    low, high = map(float, value_range(spec, discount))
+def value_bounds(spec: Spec, discount: float, reward_shift: float = 0.0) -> tuple[float, float]:
+    """The range of values that the logged rewards allow, widened to hold 0, where fresh critics start.
+
+    Args:
+        spec: the task.
+        discount: the learner's.
+        reward_shift: what the learner adds to every logged reward.
+    """
+    shifted = dataclasses.replace(
+        spec, reward_min=spec.reward_min + reward_shift, reward_max=spec.reward_max + reward_shift
+    )
+    low, high = map(float, value_range(shifted, discount))
     return min(low, 0.0), max(high, 0.0)
 
 
@@ -65,6 +75,9 @@ class DivergenceMonitor:
         self.seen.update(warning.kind for warning in found)
         return found
 
+    def _bounds(self, discount: float) -> tuple[float, float]:
+        return value_bounds(self.spec, discount, float(self.settings.get("reward_shift", 0.0)))
+
     def _findings(self, step: int, metrics: Mapping[str, float]) -> list[tuple[str, str]]:
         broken = sorted(name for name, value in metrics.items() if not math.isfinite(value))
         if broken:
@@ -76,7 +89,7 @@ class DivergenceMonitor:
             return [("not-finite", message)]
 
         findings = []
-        low, high = (-math.inf, math.inf) if self.discount is None else value_bounds(self.spec, self.discount)
+        low, high = (-math.inf, math.inf) if self.discount is None else self._bounds(self.discount)
         slack = self.slack * (high - low)
         allowed = f"the logged rewards allow values from {low:,.4g} to {high:,.4g}"
         highest, lowest = metrics.get("critic/max"), metrics.get("critic/min")
