@@ -8,8 +8,9 @@ import re
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-# An argument as a call writes it; not the `==` of a comparison, nor a part of a longer word or of a path.
-OPTION = re.compile(r"(?<![\w.\"'/-])([a-z][a-z0-9_]*)=(?!=)")
+# An argument as a call writes it; not the `==` of a comparison, nor a part of a longer word or of a path, such
+# as that of one run among several, runs/poor,actor_learning_rate=0.0001.
+OPTION = re.compile(r"(?<![\w.,\"'/-])([a-z][a-z0-9_]*)=(?!=)")
 
 
 class OdafError(Exception):

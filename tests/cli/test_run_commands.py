@@ -388,6 +388,8 @@ def test_data_without_an_environment_leave_the_evaluation_of_others_alone(data: 
         printed, said = capsys.readouterr()
         assert said.startswith(f"{plant} names no environment and no --env was given: policies of these data are not")
         assert f"odaf report '{folder}' --out" in printed
+    assert main([*words, "--lanes", "4", "--steps", "9"]) == 2
+    assert f"`odaf resume '{folder}/plant' --steps 9`" in capsys.readouterr().err
     assert [odaf.load_run(folder / name).files.config["evaluate"] is None for name in ("plant", "maze")] == [
         True,
         False,

@@ -41,6 +41,7 @@ def importing():
         ("format='csv', encoding= or", "--format csv, --encoding or"),
         ("d4rl_compat=True", "--d4rl-compat"),
         ("no option=3, colour= or x == 4", "no option=3, colour= or x == 4"),
+        ("runs/poor,reward=0.1: is a path", "runs/poor,reward=0.1: is a path"),
     ],
 )
 def test_options_get_their_dashes(text: str, shown: str):

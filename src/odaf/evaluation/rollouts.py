@@ -5,6 +5,7 @@ episode would have earned is not known, so its return is NaN, and no mean counts
 """
 
 import math
+import shlex
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -314,7 +315,7 @@ class RolloutEvaluator:
         except OdafError:
             raise
         except Exception as error:  # an environment of somebody else's fails in ways of its own
-            run = directory.parent
+            run = shlex.quote(str(directory.parent))
             raise ConfigError(
                 f"environment {self.rollouts.name}: failed in the evaluation after update {step:,} "
                 f"({type(error).__name__}: {error}). What was trained until then is saved in {directory}; mend the "

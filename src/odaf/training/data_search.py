@@ -1,6 +1,7 @@
 """Where a run's data lie: as they were named, seen from where the run was begun, or beside the run."""
 
 import os
+import shlex
 from pathlib import Path
 from typing import Any
 
@@ -54,7 +55,7 @@ def find_data(run: RunDirectory) -> Path:
             return place
     raise DatasetError(
         f"{run.path}: its data are not where they were; looked for {', '.join(map(str, looked))}. Name their place: "
-        f"`odaf resume {run.path} --data FILE`, or odaf.resume(..., dataset=FILE) in Python"
+        f"`odaf resume {shlex.quote(str(run.path))} --data FILE`, or odaf.resume(..., dataset=FILE) in Python"
     )
 
 

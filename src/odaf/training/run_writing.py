@@ -1,6 +1,7 @@
 """Writing a run directory: claiming it, its first files, and removing what a killed process left."""
 
 import os
+import shlex
 import shutil
 from pathlib import Path
 from typing import Any
@@ -82,9 +83,10 @@ def _check_same(run: RunDirectory, config: dict[str, Any], data: dict[str, Any])
     old, new = {**run.config, "data": run.data.get(kind)}, {**config, "data": data[kind]}
     different = differences(old, new, more=("algorithm", "data"))
     if different:
-        remedy = f"train into another directory with --out, or go on with the old settings by `odaf resume {run.path}`"
+        place = shlex.quote(str(run.path))
+        remedy = f"train into another directory with --out, or go on with the old settings by `odaf resume {place}`"
         if list(different) == ["steps"]:
-            remedy = f"go on with `odaf resume {run.path} --steps {new['steps']}`, or give another directory with --out"
+            remedy = f"go on with `odaf resume {place} --steps {new['steps']}`, or give another directory with --out"
         details = "; ".join(different.values())
         raise ConfigError(f"{run.path}: holds a run with other settings ({details}). To keep both: {remedy}.")
 
