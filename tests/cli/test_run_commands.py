@@ -402,6 +402,15 @@ def test_data_without_an_environment_leave_the_evaluation_of_others_alone(data: 
     assert "maze: holds a run; several runs need a folder of their own" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("how", [("--lanes", "2"), ("--workers", "1")], ids=["lanes", "one after another"])
+def test_every_environment_is_examined_before_the_first_of_several_runs(data: Path, tmp_path: Path, capsys, how):
+    other = write_data(tmp_path / "other.h5", {"name": "gymnasium", "id": "Hopper-v5"})
+    words = ["train", "behaviour-cloning", "--data", str(data), str(other), "--out", str(tmp_path / "runs"), *CLONING]
+    assert main([*words, "--steps", "3", "--episodes", "1", *how]) == 2
+    assert "Hopper-v5: its actions have shape" in capsys.readouterr().err
+    assert not (tmp_path / "runs").exists()
+
+
 def test_values_and_ranges_are_read_or_refused(capsys):
     assert with_ranges(["--seeds", "0..2", "7", "--out", "0..2"]) == ["--seeds", "0", "1", "2", "7", "--out", "0..2"]
     assert values_of(["outcome.weight=0.1,1", "hidden-sizes=[8,8],[16]", "critic_norm=none,layer", "a=true"]) == {

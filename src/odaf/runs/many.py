@@ -18,6 +18,7 @@ from odaf.algorithms.base import Algorithm
 from odaf.algorithms.registry import register_parts
 from odaf.data.dataset import Dataset
 from odaf.errors import ConfigError
+from odaf.evaluation.rollouts import Rollouts
 from odaf.evaluation.runs import Run
 from odaf.runs import fit as single
 from odaf.training.fit import open_run
@@ -132,6 +133,10 @@ def fit_many(
     for plan in runs:
         programs.setdefault(program_of(plan.algorithm, plan.dataset), []).append(plan)
     wanted = settings.lanes or default_lanes(sum(plan.number(settings) for plan in runs))
+    if isinstance(settings.evaluate, Rollouts) and len({id(plan.dataset) for plan in runs}) > 1:
+        # All before the first: the turn of a later one may come hours after.
+        for plan in {id(plan.dataset): plan for plan in runs if plan.evaluated}.values():
+            single.close(single.evaluator_for(settings, plan.dataset))
     done: dict[Path, Run] = {}
     for number, together in enumerate(programs.values(), 1):
         lanes = min(wanted, sum(plan.number(settings) for plan in together))
