@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from golden import networks, tiny
-from odaf.algorithms.td3_bc import TD3BC, TD3BCState, actor_loss
+from odaf.algorithms.td3_bc import TD3BC, actor_loss
+from odaf.algorithms.twin_delayed import TwinDelayedState
 from odaf.components.critics import CriticEnsemble
 from odaf.components.trained import Trained
 from odaf.errors import ConfigError
@@ -16,7 +17,7 @@ from odaf.errors import ConfigError
 LEARNER = TD3BC(hidden_sizes=(5, 4), batch_size=tiny.ROWS, discount=0.9, target_rate=0.25, learning_rate=1e-2)
 
 
-def _state() -> TD3BCState:
+def _state() -> TwinDelayedState:
     """Four different random networks."""
     shape = jax.eval_shape(lambda: LEARNER.init(jr.key(0), tiny.SPEC, ()))
     empty = tiny.filled(shape, size=0.0)

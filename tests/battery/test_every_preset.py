@@ -19,9 +19,10 @@ def test_a_preset_makes_an_update(name):
     learner = learners.of_preset(name)
     models = learner.untrained(jr.key(0), SPEC)
     start = learner.init(jr.key(1), SPEC, models)
+    batch = tiny.batch(6, extras=learner.view().extras)
     state, metrics, updates = start, {}, getattr(learner, "actor_delay", 1)
     for number in range(updates):  # op by op: presets share what is compiled
-        state, metrics = learner.update(state, tiny.batch(6), jr.key(number))
+        state, metrics = learner.update(state, batch, jr.key(number))
     assert int(state.step) == updates and is_finite(learner.actor(state))
     for term in getattr(learner, "terms", ()):
         assert any(metric.startswith(f"{term.name}/") for metric in metrics), term.name
@@ -31,7 +32,7 @@ def test_a_preset_makes_an_update(name):
             assert any(not np.array_equal(a, b) for a, b in zip(*map(jax.tree.leaves, pair), strict=True)), part
     assert all(np.isfinite(float(value)) for value in metrics.values())
     assert jax.tree.structure(state) == jax.tree.structure(start)
-    actions, _ = learner.actor(state).act(learner.actor(state).begin(6), tiny.batch(6).observations)
+    actions, _ = learner.actor(state).act(learner.actor(state).begin(6), batch.observations)
     assert actions.shape == (6, tiny.ACT_DIM) and float(np.abs(actions).max()) <= 1.0
 
 

@@ -51,8 +51,8 @@ def in_double(tree: Tree) -> Tree:
     return jax.tree.map(lambda leaf: floats(leaf) if jnp.issubdtype(leaf.dtype, jnp.inexact) else leaf, tree)
 
 
-def batch(rows: int = ROWS, seed: int = 0) -> Transitions:
-    """Random rows; every third one is a true end."""
+def batch(rows: int = ROWS, seed: int = 0, extras: tuple[str, ...] = ()) -> Transitions:
+    """Random rows; every third one is a true end. Further columns are actions, or numbers of which the ends have 0."""
     rng = np.random.default_rng(seed)
     return Transitions(
         floats(rng.normal(size=(rows, OBS_DIM))),
@@ -60,7 +60,14 @@ def batch(rows: int = ROWS, seed: int = 0) -> Transitions:
         floats(rng.uniform(-1.0, 2.0, rows)),
         floats(rng.normal(size=(rows, OBS_DIM))),
         floats(np.arange(rows) % 3 == 2),
+        {name: floats(_extra(name, rows)) for name in extras},
     )
+
+
+def _extra(name: str, rows: int) -> np.ndarray:
+    if name == "next_actions":
+        return np.random.default_rng(1).uniform(-1.0, 1.0, (rows, ACT_DIM))
+    return (np.arange(rows) % 3 != 2).astype(float)
 
 
 def filled(structure: Tree, seed: int = 0, size: float = 0.6) -> Tree:

@@ -134,6 +134,14 @@ IQL = Citation(
     "International Conference on Learning Representations",
     "2110.06169",
 )
+REBRAC = Citation(
+    "tarasov2023rebrac",
+    ("Denis Tarasov", "Vladislav Kurenkov", "Alexander Nikulin", "Sergey Kolesnikov"),
+    "Revisiting the Minimalist Approach to Offline Reinforcement Learning",
+    2023,
+    _NEURIPS,
+    "2305.09836",
+)
 CLONING = Citation(
     "pomerleau1988alvinn",
     ("Dean A. Pomerleau",),

@@ -18,6 +18,7 @@ from odaf.algorithms.base import Algorithm
 from odaf.algorithms.behaviour_cloning import BehaviourCloning
 from odaf.algorithms.ensemble_sac import EnsembleSAC
 from odaf.algorithms.iql import IQL
+from odaf.algorithms.rebrac import ReBRAC
 from odaf.algorithms.td3_bc import TD3BC
 from odaf.algorithms.terms import BUILT_IN, Term
 from odaf.errors import ConfigError
@@ -86,7 +87,7 @@ ALGORITHMS: Registry[type[Algorithm]] = Registry(
     Algorithm,
     lambda entry: getattr(entry, "kind", None),
     "odaf.algorithms",
-    (EnsembleSAC, BehaviourCloning, TD3BC, IQL),
+    (EnsembleSAC, BehaviourCloning, TD3BC, IQL, ReBRAC),
 )
 TERMS: Registry[type[Term]] = Registry(Term, lambda entry: getattr(entry, "name", None), "odaf.terms", BUILT_IN)
 

@@ -17,29 +17,18 @@ from typing import ClassVar
 import jax
 import jax.numpy as jnp
 import jax.random as jr
-from jaxtyping import Array, Float, Int, PRNGKeyArray, PyTree
+from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 
 from odaf.algorithms import citations
-from odaf.algorithms.base import Algorithm, LearnerState, Metrics
+from odaf.algorithms.base import Algorithm, Metrics
+from odaf.algorithms.twin_delayed import TwinDelayedState
 from odaf.components.critics import CriticEnsemble, init_critics
-from odaf.components.losses import ensemble_td_gradient
-from odaf.components.networks import MLP
 from odaf.components.policies import DeterministicActor, init_deterministic_actor
-from odaf.components.targets import bellman_target, polyak
-from odaf.components.trained import Trained
+from odaf.components.targets import bellman_target
 from odaf.data.spec import Spec
 from odaf.data.transitions import Transitions
 from odaf.data.view import View
 from odaf.errors import ConfigError
-
-
-class TD3BCState(LearnerState):
-    """State of TD3+BC."""
-
-    step: Int[Array, ""]
-    actor: Trained[DeterministicActor]
-    critics: Trained[MLP]
-    actor_metrics: dict[str, Float[Array, ""]]  # of the last actor step, so that means do not count the steps without
 
 
 def actor_loss(
@@ -56,7 +45,7 @@ def actor_loss(
 
 
 @dataclasses.dataclass(frozen=True)
-class TD3BC(Algorithm[TD3BCState]):
+class TD3BC(Algorithm[TwinDelayedState]):
     """Twin delayed critics with a cloning loss beside the actor's."""
 
     kind: ClassVar[str] = "td3-bc"
@@ -103,7 +92,7 @@ class TD3BC(Algorithm[TD3BCState]):
         """Single rows; papers add 1e-3 to the spreads."""
         return View(discount=self.discount, normaliser_epsilon=self.normaliser_epsilon)
 
-    def init(self, key: PRNGKeyArray, spec: Spec, models: PyTree) -> TD3BCState:
+    def init(self, key: PRNGKeyArray, spec: Spec, models: PyTree) -> TwinDelayedState:
         """Random networks, slow copies equal to them, fresh optimisers."""
         del models
         key_actor, key_critics = jr.split(key)
@@ -111,51 +100,31 @@ class TD3BC(Algorithm[TD3BCState]):
         critics = init_critics(
             key_critics, spec.obs_dim, spec.act_dim, self.hidden_sizes, 2, "none", None, hidden_bias=0.0
         )
-        none_yet = {name: jnp.zeros(()) for name in ("actor/loss", "actor/cloning", "actor/value")}
-        return TD3BCState(jnp.asarray(0), Trained.begin(actor), Trained.begin(critics), none_yet)
+        return TwinDelayedState.begin(actor, critics, ("actor/loss", "actor/cloning", "actor/value"))
 
-    def target(self, state: TD3BCState, batch: Transitions, key: PRNGKeyArray) -> Float[Array, " rows"]:
+    def target(self, state: TwinDelayedState, batch: Transitions, key: PRNGKeyArray) -> Float[Array, " rows"]:
         """y, the same for both critics."""
-        assert state.actor.slow is not None and state.critics.slow is not None
-        noise = self.target_noise * jr.normal(key, batch.actions.shape)
-        noise = jnp.clip(noise, -self.noise_clip, self.noise_clip)
-        next_actions = jnp.clip(state.actor.slow.mode(batch.next_observations) + noise, -1.0, 1.0)
-        next_values = CriticEnsemble(state.critics.slow)(batch.next_observations, next_actions)
-        return bellman_target(batch.rewards, batch.terminated, jnp.min(next_values, axis=0), self.discount)
+        _, next_values = state.next_step(key, batch, self.target_noise, self.noise_clip)
+        return bellman_target(batch.rewards, batch.terminated, next_values, self.discount)
 
-    def update(self, state: TD3BCState, batch: Transitions, key: PRNGKeyArray) -> tuple[TD3BCState, Metrics]:
+    def update(
+        self, state: TwinDelayedState, batch: Transitions, key: PRNGKeyArray
+    ) -> tuple[TwinDelayedState, Metrics]:
         """A step of the critics; at every `actor_delay`-th one of the actor and the slow copies against them."""
-        y = self.target(state, batch, key)
-        gradient, loss, values = ensemble_td_gradient(
-            CriticEnsemble(state.critics.now), batch.observations, batch.actions, y
-        )
-        state = dataclasses.replace(state, critics=state.critics.stepped(gradient.networks, self.learning_rate))
-        is_due = (state.step + 1) % self.actor_delay == 0
-        state = jax.lax.cond(is_due, lambda state: self._actor_step(state, batch), lambda state: state, state)
-        metrics = {
-            "critic/loss": loss,
-            "critic/mean": jnp.mean(values),
-            "critic/min": jnp.min(values),
-            "critic/max": jnp.max(values),
-            "target/mean": jnp.mean(y),
-        }
-        return dataclasses.replace(state, step=state.step + 1), metrics | state.actor_metrics
-
-    def _actor_step(self, state: TD3BCState, batch: Transitions) -> TD3BCState:
-        critics = CriticEnsemble(state.critics.now)
-        gradient, metrics = jax.grad(actor_loss, has_aux=True)(state.actor.now, critics, batch, self.value_weight)
-        slow = polyak(state.critics.slow, state.critics.now, self.target_rate)
-        return dataclasses.replace(
-            state,
-            actor=state.actor.stepped(gradient, self.learning_rate, self.target_rate),
-            critics=dataclasses.replace(state.critics, slow=slow),
-            actor_metrics=metrics,
+        return state.updated(
+            batch,
+            self.target(state, batch, key),
+            lambda actor, critics: actor_loss(actor, critics, batch, self.value_weight),
+            actor_delay=self.actor_delay,
+            actor_rate=self.learning_rate,
+            critic_rate=self.learning_rate,
+            target_rate=self.target_rate,
         )
 
-    def actor(self, state: TD3BCState) -> DeterministicActor:
+    def actor(self, state: TwinDelayedState) -> DeterministicActor:
         """mu."""
         return state.actor.now
 
-    def values(self, state: TD3BCState) -> CriticEnsemble:
+    def values(self, state: TwinDelayedState) -> CriticEnsemble:
         """Both critics."""
         return CriticEnsemble(state.critics.now)

@@ -1,0 +1,157 @@
+"""ReBRAC: TD3 with a penalty for leaving the log in the actor's loss and another in the target (Tarasov et al. 2023).
+
+    a~'  = clip( mu'(s') + clip(noise, -c, c), -1, 1 ),              noise ~ N(0, target_noise^2)
+    y    = r + discount (1 - d) ( min_k Q'_k(s', a~') - critic_penalty f ||a~' - a'||^2 )
+    L_Q  = sum_k mean_B ( Q_k(s, a) - y )^2
+    L_pi = mean_B ( actor_penalty ||mu(s) - a||^2 - min_k Q_k(s, mu(s)) / sg[ mean_B |min_k Q_k(s, mu(s))| ] )
+
+a' is the action logged at s', and f is 1 where there is one, 0 at an episode's last row; squared distances are summed
+over action dimensions. The critics, whose layers are normalised, step first. Every `actor_delay`-th update the actor
+steps against the new critics, and all slow copies move then and only then.
+
+Differs from the paper: observations are normalised. Layers of the critics are normalised before the activation, the
+authors' code does so after it. There the slow actor moves towards the actor as it was before the step.
+"""
+
+import dataclasses
+import math
+from typing import ClassVar
+
+import jax
+import jax.numpy as jnp
+import jax.random as jr
+from jaxtyping import Array, Float, PRNGKeyArray, PyTree
+
+from odaf.algorithms import citations
+from odaf.algorithms.base import Algorithm, Metrics
+from odaf.algorithms.twin_delayed import TwinDelayedState
+from odaf.components.critics import CriticEnsemble, init_critics
+from odaf.components.networks import init_mlp
+from odaf.components.numbers import Number
+from odaf.components.policies import HEAD_BOUND, DeterministicActor
+from odaf.components.targets import bellman_target
+from odaf.data.spec import Spec
+from odaf.data.transitions import Transitions
+from odaf.data.view import View
+from odaf.errors import ConfigError
+
+CRITIC_OUTPUT_BOUND = 3e-3  # first weights of the critics' last layer lie in plus or minus this
+
+
+def squared_distance(
+    actions: Float[Array, "rows act_dim"], logged: Float[Array, "rows act_dim"]
+) -> Float[Array, " rows"]:
+    """||a - a'||^2, summed over action dimensions."""
+    return jnp.sum(jnp.square(actions - logged), axis=-1)
+
+
+def actor_loss(
+    actor: DeterministicActor, critics: CriticEnsemble, batch: Transitions, penalty: Number
+) -> tuple[Float[Array, ""], Metrics]:
+    """L_pi; gradients reach the actor only."""
+    actions = actor.mode(batch.observations)
+    distance = jnp.mean(squared_distance(actions, batch.actions))
+    values = jnp.min(critics.as_constants(batch.observations, actions), axis=0)
+    size = jax.lax.stop_gradient(jnp.mean(jnp.abs(values)))
+    loss = penalty * distance - jnp.mean(values) / size
+    return loss, {"actor/loss": loss, "actor/distance": distance, "actor/value": jnp.mean(values)}
+
+
+@dataclasses.dataclass(frozen=True)
+class ReBRAC(Algorithm[TwinDelayedState]):
+    """Twin delayed critics, with a behaviour penalty of its own for the actor and for the critics."""
+
+    kind: ClassVar[str] = "rebrac"
+    structural: ClassVar[frozenset[str]] = frozenset({"normaliser_epsilon"})
+
+    hidden_sizes: tuple[int, ...] = (256, 256, 256)
+    """Widths of the hidden layers of actor and critics."""
+    actor_penalty: float = 0.01
+    """Weight of the actor's squared distance from the logged action, in units of the mean size of the values."""
+    critic_penalty: float = 0.01
+    """Weight of the next action's squared distance from the logged one, taken off the target, in scaled rewards."""
+    discount: float = 0.99
+    """gamma, in [0, 1)."""
+    reward_scale: float = 1.0
+    """Factor on all rewards."""
+    target_noise: float = 0.2
+    """Standard deviation of the noise on the target's action."""
+    noise_clip: float = 0.5
+    """c, the largest size of that noise."""
+    actor_delay: int = 2
+    """Updates of the critics for each of the actor and of the slow copies."""
+    target_rate: float = 5e-3
+    """Share of the networks that enters their slow copies at each actor step."""
+    actor_learning_rate: float = 1e-3
+    """Step size of Adam for the actor."""
+    critic_learning_rate: float = 1e-3
+    """Step size of Adam for the critics."""
+    batch_size: int = 1024
+    """Transitions a gradient step."""
+    normaliser_epsilon: float = 1e-3
+    """Added to the standard deviations that observations are divided by, in their own units."""
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.discount < 1.0:
+            raise ConfigError(f"discount={self.discount} must lie in [0, 1)")
+        if not 0.0 < self.target_rate <= 1.0:
+            raise ConfigError(f"target_rate={self.target_rate} must lie in (0, 1]: the share that moves each time")
+        if not 0.0 < self.reward_scale < math.inf:
+            raise ConfigError(f"reward_scale={self.reward_scale} must be positive")
+        for field in ("actor_delay", "batch_size"):
+            if getattr(self, field) < 1:
+                raise ConfigError(f"{field}={getattr(self, field)} must be at least 1")
+        for field in ("actor_penalty", "critic_penalty", "target_noise", "noise_clip", "normaliser_epsilon"):
+            if getattr(self, field) < 0.0:
+                raise ConfigError(f"{field}={getattr(self, field)} must not be negative")
+
+    def citations(self) -> tuple[citations.Citation, ...]:
+        """ReBRAC."""
+        return (citations.REBRAC,)
+
+    def view(self) -> View:
+        """Single rows, with the action logged at the successor and whether there is one."""
+        extras = ("next_actions", "followed")
+        return View(discount=self.discount, normaliser_epsilon=self.normaliser_epsilon, extras=extras)
+
+    def init(self, key: PRNGKeyArray, spec: Spec, models: PyTree) -> TwinDelayedState:
+        """Random networks, the critics' layers normalised; slow copies equal to them, fresh optimisers."""
+        del models
+        key_actor, key_critics = jr.split(key)
+        sizes = (spec.obs_dim, *self.hidden_sizes, spec.act_dim)
+        actor = DeterministicActor(init_mlp(key_actor, sizes, output_bound=HEAD_BOUND))
+        critics = init_critics(
+            key_critics, spec.obs_dim, spec.act_dim, self.hidden_sizes, 2, "layer", CRITIC_OUTPUT_BOUND
+        )
+        return TwinDelayedState.begin(actor, critics, ("actor/loss", "actor/distance", "actor/value"))
+
+    def target(self, state: TwinDelayedState, batch: Transitions, key: PRNGKeyArray) -> Float[Array, " rows"]:
+        """y, the same for both critics."""
+        actions, next_values = state.next_step(key, batch, self.target_noise, self.noise_clip)
+        distance = batch.extras["followed"] * squared_distance(actions, batch.extras["next_actions"])
+        next_values = next_values - self.critic_penalty * distance
+        return bellman_target(self.reward_scale * batch.rewards, batch.terminated, next_values, self.discount)
+
+    def update(
+        self, state: TwinDelayedState, batch: Transitions, key: PRNGKeyArray
+    ) -> tuple[TwinDelayedState, Metrics]:
+        """A step of the critics; at every `actor_delay`-th one of the actor and the slow copies against them."""
+        state, metrics = state.updated(
+            batch,
+            self.target(state, batch, key),
+            lambda actor, critics: actor_loss(actor, critics, batch, self.actor_penalty),
+            actor_delay=self.actor_delay,
+            actor_rate=self.actor_learning_rate,
+            critic_rate=self.critic_learning_rate,
+            target_rate=self.target_rate,
+        )
+        of_values = ("critic/mean", "critic/min", "critic/max", "target/mean", "actor/value")
+        return state, metrics | {name: metrics[name] / self.reward_scale for name in of_values}
+
+    def actor(self, state: TwinDelayedState) -> DeterministicActor:
+        """mu."""
+        return state.actor.now
+
+    def values(self, state: TwinDelayedState) -> CriticEnsemble:
+        """Both critics."""
+        return CriticEnsemble(state.critics.now)
