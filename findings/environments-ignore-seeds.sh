@@ -15,6 +15,7 @@
 # (`evaluation/examination.py`).
 set -euo pipefail
 work=$(mktemp -d)
+cd "$work"
 trap 'rm -rf "$work"' EXIT
 python3 -m venv "$work/venv"
 "$work/venv/bin/python" -m pip install -qq --disable-pip-version-check \

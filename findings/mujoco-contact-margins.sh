@@ -14,6 +14,7 @@
 # the simulator and the rule in the record of a run, and names scores of different rules as no like for like.
 set -euo pipefail
 work=$(mktemp -d)
+cd "$work"
 trap 'rm -rf "$work"' EXIT
 cat > "$work/play.py" <<'PYTHON'
 import sys

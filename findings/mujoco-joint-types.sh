@@ -14,6 +14,7 @@
 # (`environments/gymnasium_environment.py`).
 set -euo pipefail
 work=$(mktemp -d)
+cd "$work"
 trap 'rm -rf "$work"' EXIT
 cat > "$work/try.py" <<'PYTHON'
 import sys
