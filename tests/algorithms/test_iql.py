@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from battery import learners
 from golden import networks, tiny
 from odaf.algorithms.iql import IQL, IQLState, actor_loss, cloning_weights, value_loss
 from odaf.components.critics import CriticEnsemble
@@ -191,7 +190,12 @@ def test_networks_begin_orthogonal_with_a_gain_and_slow_critics_that_equal_the_c
 
 
 def test_returns_of_the_log_span_a_thousand_after_the_shift():
-    log = learners.log()
+    chain, last = np.random.default_rng(0).normal(size=(13, 3)), np.isin(np.arange(12), [3, 11])
+    log = Dataset.from_arrays(
+        chain[:-1], np.zeros((12, 2)), chain[:-1, 0], next_observations=chain[1:], truncated=last,
+        action_bounds=(-1.0, 1.0),
+    )  # fmt: skip
+    assert log.episode_lengths().tolist() == [4, 8]  # so that the shift tells
     returns = [sum(log.rewards[log.episode(index)] - 1.0) for index in range(log.num_episodes)]
     learner = dataclasses.replace(LEARNER, reward_scale="returns")
     normaliser = Normaliser.identity(3)
@@ -201,7 +205,7 @@ def test_returns_of_the_log_span_a_thousand_after_the_shift():
     assert float(learner.init(jr.key(0), log.spec(), factor).reward_scale) == float(factor)
     level = Dataset.from_arrays(
         log.observations, log.actions, np.ones(len(log)), next_observations=log.next_observations,
-        truncated=log.truncated | log.terminated, action_bounds=(-2.0, 4.0),
+        truncated=np.arange(12) % 4 == 3, action_bounds=(-1.0, 1.0),
     )  # fmt: skip
     with pytest.raises(ConfigError, match="every episode of the log returns .*reward_scale=1.0"):
         learner.pretrain(level, normaliser, jr.key(0), lambda *_: None)
