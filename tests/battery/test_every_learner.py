@@ -19,7 +19,7 @@ from odaf.algorithms.numbers import joined, split
 from odaf.algorithms.registry import ALGORITHMS, TERMS
 from odaf.cli.options import field_help, settings_of
 from odaf.data.normalisation import Normaliser
-from odaf.data.sampling import training_column_shapes, training_columns
+from odaf.data.sampling import WeightedColumns, training_column_shapes, training_columns
 from odaf.training import loop
 from odaf.training.monitors import DivergenceMonitor
 from odaf.training.run_directory import blank_state
@@ -36,7 +36,7 @@ def _log():
 def _columns(learner):
     dataset = _log()
     return training_columns(
-        dataset, Normaliser.fit(dataset.observations, learner.view().normaliser_epsilon), learner.view()
+        dataset, Normaliser.fit(dataset.observations, learner.view().normaliser_epsilon), learner.drawn_view()
     )
 
 
@@ -142,6 +142,15 @@ def test_a_run_resumes_to_the_bit_and_its_policy_is_saved_and_loaded(kind, tmp_p
     seen = dataset.observations[:5]
     np.testing.assert_array_equal(loaded(seen), policy(seen))
     assert np.all(policy(seen) >= dataset.action_low) and np.all(policy(seen) <= dataset.action_high)
+
+
+@each_learner
+def test_rows_drawn_by_return_train_the_same_bits_however_it_is_cut(kind):
+    learner = dataclasses.replace(learners.of_kind(kind), sampling="return", return_temperature=0.5)
+    assert isinstance(_columns(learner), WeightedColumns)
+    whole, _ = _train(learner, 3, _first(learner, 3), 0, 4)
+    cut, _ = _train(learner, 3, loop.donatable(_train(learner, 3, _first(learner, 3), 0, 2)[0]), 2, 4)
+    tiny.assert_same_bits(whole, cut)
 
 
 @each_learner

@@ -21,6 +21,7 @@ from odaf.runs import methods, presets
 
 ALL = (
     "behaviour-cloning",
+    "behaviour-cloning-best",
     "edac",
     "odaf",
     "odaf-demo",
@@ -64,7 +65,7 @@ def test_the_promised_presets_are_there_and_described():
 def test_every_preset_loads_and_survives_its_own_configuration(name):
     learner = presets.load(name)
     assert config.from_dict(config.to_dict(learner)) == learner
-    assert type(learner) is (BehaviourCloning if name == "behaviour-cloning" else EnsembleSAC)
+    assert type(learner) is (BehaviourCloning if name.startswith("behaviour-cloning") else EnsembleSAC)
 
 
 def test_sac_n_is_as_published():

@@ -1,6 +1,7 @@
 """The contract between a learner and the loop that trains it."""
 
 import abc
+import dataclasses
 from collections.abc import Callable
 from typing import Any, ClassVar, Generic, TypeVar
 
@@ -12,6 +13,7 @@ from odaf.components.critics import CriticEnsemble
 from odaf.components.policies import Actor
 from odaf.data.dataset import Dataset
 from odaf.data.normalisation import Normaliser
+from odaf.data.row_choice import RowChoice
 from odaf.data.sampling import Columns, sample
 from odaf.data.spec import Spec
 from odaf.data.transitions import Transitions
@@ -30,8 +32,10 @@ class LearnerState(eqx.Module):
 State = TypeVar("State", bound=LearnerState)
 
 
-class Algorithm(abc.ABC, Generic[State]):
+class Algorithm(RowChoice, abc.ABC, Generic[State]):
     """A learner's settings (a frozen dataclass) and its pure functions.
+
+    It has the settings of `odaf.data.row_choice.RowChoice` beside its own: how the rows of batches are chosen.
 
     The loop calls, in this order: `view`, `pretrain`, `init`, then `refresh`, `batch` and `update` inside compiled
     stretches, and `actor` for evaluation. Observations are normalised and actions scaled to [-1, 1] everywhere in here.
@@ -54,6 +58,10 @@ class Algorithm(abc.ABC, Generic[State]):
     def view(self) -> View:
         """What of the log the learner sees; by default single rows with the reward as logged."""
         return View()
+
+    def drawn_view(self) -> View:
+        """`view`, and how its rows are drawn: what the columns that batches come from are built by."""
+        return dataclasses.replace(self.view(), choice=self.row_choice())
 
     def untrained(self, key: PRNGKeyArray, spec: Spec) -> PyTree:
         """Models before pre-training, in the structure that `pretrain` returns; () when there are none."""
@@ -95,7 +103,7 @@ class Algorithm(abc.ABC, Generic[State]):
         return state
 
     def batch(self, state: State, columns: Columns, key: PRNGKeyArray) -> Transitions:
-        """The rows of one update; by default `batch_size` rows of the log, all equally likely."""
+        """The rows of one update; by default `batch_size` rows, drawn as the settings say."""
         del state
         return sample(columns, key, self.batch_size)
 

@@ -9,7 +9,6 @@ In Python, `odaf.register(AWAC)` does the same for one process; `odaf.fit(AWAC()
 Files name a class by its `kind` or `name` alone, so reading one never decides which code is run.
 """
 
-import dataclasses
 from collections.abc import Callable, Iterator, Mapping
 from importlib.metadata import entry_points
 from typing import Any, Generic, TypeVar
@@ -48,7 +47,7 @@ class Registry(Mapping[str, Kind], Generic[Kind]):
         Raises:
             ConfigError: it is not a frozen dataclass of the right kind, or another class has its name.
         """
-        if not (isinstance(entry, type) and issubclass(entry, self._base) and dataclasses.is_dataclass(entry)):
+        if not (isinstance(entry, type) and issubclass(entry, self._base) and "__dataclass_fields__" in vars(entry)):
             raise ConfigError(f"{entry!r}: is not a dataclass derived from {self._base.__name__}; make it one")
         name = self._name_of(entry)
         if not isinstance(name, str) or not name:

@@ -1,58 +1,98 @@
 """A dataset on the device, and batches drawn from it inside compiled code."""
 
 from dataclasses import replace
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import jax.random as jr
 import numpy as np
-from jaxtyping import Array, Int, PRNGKeyArray
+from jaxtyping import Array, Float, Int, PRNGKeyArray, UInt32
 
+from odaf.data.alias_table import alias_table, units_of
 from odaf.data.dataset import Dataset
 from odaf.data.mixing_batches import MixedColumns, sample_mixed
 from odaf.data.normalisation import Normaliser, scale_actions
 from odaf.data.returns_to_go import returns_to_go
+from odaf.data.row_choice import drawn_from, episode_weights
 from odaf.data.transitions import Transitions
 from odaf.data.view import Extra, View
 from odaf.errors import DatasetError
 
 
+class WeightedColumns(eqx.Module):
+    """All columns of a data set, and the table that its rows are drawn by."""
+
+    columns: Transitions
+    kept: UInt32[Array, " rows"]  # of `alias_table`
+    alias: Int[Array, " rows"]
+
+    @property
+    def rewards(self) -> Float[Array, " rows"]:
+        """Of each row."""
+        return self.columns.rewards
+
+
 class Slab(eqx.Module):
     """One data set among several whose rows lie one behind the other in the same arrays."""
 
-    columns: Transitions  # the rows of all sets
+    columns: Transitions | WeightedColumns  # the rows of all sets; an alias counts from its set's first row
     first: Int[Array, ""]  # the set's first row
     rows: Int[Array, ""]  # and how many it has
 
 
 # What training draws its batches from.
-Columns = Transitions | MixedColumns | Slab
+Columns = Transitions | MixedColumns | WeightedColumns | Slab
 
 
 def training_columns(dataset: Dataset, normaliser: Normaliser, view: View = View()) -> Columns:
-    """What `sample` draws batches from: `device_columns`, with the mixture of the data where they have one.
+    """What `sample` draws batches from: `device_columns`, with the mixture of the data or the view's choice of rows.
 
     Raises:
-        DatasetError: as `device_columns`, or a part of a mixture has no row with so many steps.
+        DatasetError: as `device_columns`, or a part of a mixture has no row with so many steps, or rows are chosen by
+            returns that are no finite numbers.
+        ConfigError: rows are chosen from data that are mixed per batch.
     """
-    return _with_mixture(device_columns(dataset, normaliser, view), dataset, view.return_steps)
+    dataset = drawn_from(dataset, view.choice)
+    columns = _with_mixture(device_columns(dataset, normaliser, view), dataset, view.return_steps)
+    if view.choice.sampling != "return":
+        return columns
+    assert isinstance(columns, Transitions)  # `drawn_from` refuses mixtures
+    kept, alias = alias_table(units_of(row_weights(dataset, view)))
+    return WeightedColumns(columns, _on_device(kept), _on_device(alias))
 
 
 def training_column_shapes(dataset: Dataset, view: View = View()) -> Columns:
     """The shapes of `training_columns`, with nothing put on the device; raises what that does."""
+    dataset = drawn_from(dataset, view.choice)
     rows = len(dataset) if view.return_steps == 1 else len(_n_step_rows(dataset, view.return_steps)[1])
     states, actions = dataset.obs_dim, dataset.act_dim
 
-    def columns() -> Transitions:
+    def columns() -> Transitions | WeightedColumns:
         state, action, number = (jnp.zeros(shape) for shape in ((rows, states), (rows, actions), (rows,)))
         extras = {name: action if name == "next_actions" else number for name in view.extras}
-        return Transitions(state, action, number, state, number, extras)
+        found = Transitions(state, action, number, state, number, extras)
+        if view.choice.sampling != "return":
+            return found
+        return WeightedColumns(found, number.astype(jnp.uint32), number.astype(jnp.int32))
 
     return _with_mixture(jax.eval_shape(columns), dataset, view.return_steps)
 
 
-def _with_mixture(columns: Transitions, dataset: Dataset, return_steps: int) -> Columns:
+def row_weights(dataset: Dataset, view: View) -> Float[np.ndarray, " kept"]:
+    """How likely each row is that batches may hold, as a multiple of a row of the best episode.
+
+    Raises:
+        DatasetError: no episode has so many steps, or returns are no finite numbers.
+        ConfigError: rows are chosen from data that are mixed per batch.
+    """
+    dataset = drawn_from(dataset, view.choice)
+    weights = np.repeat(episode_weights(dataset.episode_returns(), view.choice), dataset.episode_lengths())
+    return weights if view.return_steps == 1 else weights[_n_step_rows(dataset, view.return_steps)[1]]
+
+
+def _with_mixture(columns: Any, dataset: Dataset, return_steps: int) -> Columns:
     if dataset.mixture is None:
         return columns
     border = dataset.mixture.border
@@ -154,7 +194,7 @@ def _n_step_rows(dataset: Dataset, steps: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def sample(columns: Columns, key: PRNGKeyArray | Array, batch_size: int) -> Transitions:
-    """Draws `batch_size` rows with replacement, all equally likely, or by part of a mixture as `sample_mixed` does.
+    """Draws `batch_size` rows with replacement: all alike, by weight, or by part of a mixture (`sample_mixed`).
 
     Usable inside `jit`, `scan` and `vmap`.
 
@@ -162,8 +202,24 @@ def sample(columns: Columns, key: PRNGKeyArray | Array, batch_size: int) -> Tran
     """
     if isinstance(columns, MixedColumns):
         return sample_mixed(columns.columns, columns.border, columns.ratio, key, batch_size)
+    if isinstance(columns, WeightedColumns):
+        rows = _weighted_rows(columns, 0, columns.rewards.shape[0], key, batch_size)
+        return jax.tree.map(lambda column: column[rows], columns.columns)
+    if isinstance(columns, Slab) and isinstance(columns.columns, WeightedColumns):
+        rows = _weighted_rows(columns.columns, columns.first, columns.rows, key, batch_size)
+        return jax.tree.map(lambda column: column[rows], columns.columns.columns)
     if isinstance(columns, Slab):  # the same draws as from the set alone
         rows = columns.first + jr.randint(key, (batch_size,), 0, columns.rows)
         return jax.tree.map(lambda column: column[rows], columns.columns)
     rows = jr.randint(key, (batch_size,), 0, columns.rewards.shape[0])
     return jax.tree.map(lambda column: column[rows], columns)
+
+
+def _weighted_rows(
+    table: WeightedColumns, first: Array | int, count: Array | int, key: PRNGKeyArray | Array, batch_size: int
+) -> Int[Array, " batch"]:
+    """Rows of the set of `count` rows from `first` on: a cell of the table, then the row it keeps or its alias."""
+    key_cell, key_part = jr.split(key)
+    cells = first + jr.randint(key_cell, (batch_size,), 0, count)
+    part = jr.bits(key_part, (batch_size,), jnp.uint32)
+    return jnp.where(part < table.kept[cells], cells, first + table.alias[cells])

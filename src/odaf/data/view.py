@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from typing import Literal
 
+from odaf.data.row_choice import UNIFORM, RowChoice
 from odaf.errors import ConfigError
 
 Extra = Literal["next_actions", "followed", "successor_known", "returns_to_go", "episode_steps"]
@@ -25,6 +26,7 @@ class View:
             `successor_known`: 0.0 where a true end repeats its own state as a placeholder, else 1.0;
             `returns_to_go`: discounted sum of the scaled rewards from this row on, see `odaf.data.returns_to_go`;
             `episode_steps`: the row's number in its episode, from 0.
+        choice: which of these rows batches are drawn from, and how often.
     """
 
     return_steps: int = 1
@@ -33,6 +35,7 @@ class View:
     reward_shift: float = 0.0
     normaliser_epsilon: float = 0.0
     extras: tuple[Extra, ...] = ()
+    choice: RowChoice = UNIFORM
 
     def __post_init__(self) -> None:
         if self.return_steps < 1:

@@ -15,6 +15,7 @@ from odaf.data.normalisation import Normaliser
 from odaf.errors import ConfigError
 from odaf.training import checkpoints, run_writing
 from odaf.training.data_search import check_same_data, find_data
+from odaf.training.drawn_rows import DRAWN, drawn_rows, in_words
 from odaf.training.evaluator import Evaluator
 from odaf.training.files import plain, read_json, write_json
 from odaf.training.lock import locked
@@ -115,12 +116,14 @@ def open_run(
     register_parts(algorithm)
     path, evaluate = Path(directory), _evaluator(settings)
     normaliser = Normaliser.fit(dataset.observations, algorithm.view().normaliser_epsilon)
-    data = run_writing.data_record(dataset, normaliser, data_path, path)
+    data = run_writing.data_record(dataset, normaliser, data_path, path) | drawn_rows(algorithm, dataset)
     config = run_writing.config_record(algorithm, settings, preset)
     run_writing.refuse_foreign(path)
     path.mkdir(parents=True, exist_ok=True)
     with locked(path):
         new = not (path / "config.json").exists()
+        if new and DRAWN in data:
+            report.message(f"{path}: {in_words(data[DRAWN])}")
         process = process_record(_cores(settings, apart), settings.precision or "default")
         run = run_writing.begin(path, config, plain(data), process, dataset)
         if new and (reason := why_bits_do_not_repeat(process)):

@@ -22,7 +22,7 @@ from odaf.algorithms.base import Algorithm
 from odaf.algorithms.numbers import split
 from odaf.components.together import run_together
 from odaf.data.dataset import Dataset
-from odaf.data.sampling import Columns, training_column_shapes, training_columns
+from odaf.data.sampling import Columns, WeightedColumns, training_column_shapes, training_columns
 from odaf.data.transitions import Transitions
 from odaf.errors import ConfigError, OdafError
 from odaf.training import loop, run_directory
@@ -57,7 +57,7 @@ def program_of(algorithm: Algorithm, dataset: Dataset) -> tuple[Any, ...]:
     """What decides the compiled program of a training; trainings that agree in it can be lanes of one."""
     structure = split(algorithm)[0]
     # Where batches are mixed from two parts, the border between them is part of the program.
-    mixed = None if dataset.mixture is None else (id(dataset), algorithm.view())
+    mixed = None if dataset.mixture is None else (id(dataset), algorithm.drawn_view())
     return structure, dataset.obs_dim, dataset.act_dim, mixed
 
 
@@ -105,7 +105,9 @@ class _Program:
             sources.setdefault(_source(lane), lane)
         self._places = {source: index for index, source in enumerate(sources)}
         began = time.perf_counter()
-        shapes = [training_column_shapes(lane.dataset, lane.seed.run.algorithm.view()) for lane in sources.values()]
+        shapes = [
+            training_column_shapes(lane.dataset, lane.seed.run.algorithm.drawn_view()) for lane in sources.values()
+        ]
         together = shapes[0] if len(shapes) == 1 else jax.eval_shape(_joined, shapes)
         state = run_directory.blank_state(learner, spec)
         self.width, self.train = _that_fits(
@@ -114,7 +116,7 @@ class _Program:
         give_back_freed_memory()
         self.compile_seconds = time.perf_counter() - began
         columns = [
-            training_columns(lane.dataset, lane.seed.run.normaliser, lane.seed.run.algorithm.view())
+            training_columns(lane.dataset, lane.seed.run.normaliser, lane.seed.run.algorithm.drawn_view())
             for lane in sources.values()
         ]
         self._rows = [_rows(each) for each in columns]
@@ -247,11 +249,11 @@ def _that_fits(compile_for: Callable[[int], Any], width: int) -> tuple[int, Any]
 
 def _source(lane: Lane) -> tuple[Any, ...]:
     """What decides which rows a lane sees."""
-    return id(lane.dataset), lane.seed.run.algorithm.view()
+    return id(lane.dataset), lane.seed.run.algorithm.drawn_view()
 
 
 def _rows(columns: Columns) -> int:
-    return columns.rewards.shape[0] if isinstance(columns, Transitions) else 0
+    return columns.rewards.shape[0] if isinstance(columns, Transitions | WeightedColumns) else 0
 
 
 def _joined(columns: Sequence[Any]) -> Any:

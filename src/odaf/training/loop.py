@@ -18,7 +18,7 @@ from jaxtyping import Array, Float, Int, Key, PRNGKeyArray
 
 from odaf.algorithms.base import Algorithm
 from odaf.algorithms.numbers import Numbers, joined, split
-from odaf.data.sampling import Columns, Slab
+from odaf.data.sampling import Columns, Slab, WeightedColumns
 from odaf.data.spec import Spec
 from odaf.data.transitions import Transitions
 from odaf.errors import ConfigError
@@ -157,7 +157,9 @@ def _train_lanes(
     states: Any,
 ) -> tuple[Any, dict[str, Float[Array, " lanes"]]]:
     def one(numbers: Numbers, slab: Any, key: PRNGKeyArray, state: Any) -> tuple[Any, dict[str, Array]]:
-        own = Slab(columns, *slab) if slab is not None and isinstance(columns, Transitions) else columns
+        own = (
+            Slab(columns, *slab) if slab is not None and isinstance(columns, Transitions | WeightedColumns) else columns
+        )
         return _stretch(joined(structure, numbers), own, None, first, last, key, state)
 
     return jax.vmap(one)(numbers, slabs, keys, states)

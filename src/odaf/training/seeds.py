@@ -54,11 +54,11 @@ def prepare(run: RunDirectory, dataset: Dataset, compiling: Callable[[], None]) 
     learner = run.algorithm
     compiling()
     began = time.perf_counter()
-    shapes = training_column_shapes(dataset, learner.view())
+    shapes = training_column_shapes(dataset, learner.drawn_view())
     train = loop.compiled_stretch(learner, shapes, run_directory.blank_state(learner, run.spec))
     give_back_freed_memory()
     took = time.perf_counter() - began
-    columns = training_columns(dataset, run.normaliser, learner.view())
+    columns = training_columns(dataset, run.normaliser, learner.drawn_view())
     return TrainingData(dataset, columns, train, took)
 
 

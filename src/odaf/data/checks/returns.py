@@ -121,7 +121,7 @@ class Returns:
         best = int(np.argmax(returns))
         remedy = (
             "compare rewards per step beside them; `odaf data info` leaves such fragments out of best and worst. To "
-            "learn from best episodes, cut all to one length first"
+            "learn from the best episodes (sampling='best' or 'return'), cut all to one length first"
         )
         if short[best]:
             return [

@@ -1,0 +1,107 @@
+"""Which rows of a log a learner's batches are drawn from, and how often: all alike, or the better episodes more often.
+
+Most rows of a poor log come from poor episodes. Any learner sees more of the good ones if rows are drawn by the return
+of their episode (Hong et al. 2023) or from the best episodes alone. Losses stay what they are.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from odaf.data.dataset import Dataset
+from odaf.errors import ConfigError, DatasetError
+
+
+@dataclass(frozen=True, kw_only=True)
+class RowChoice:
+    """How the rows of batches are chosen; every learner has these settings."""
+
+    sampling: Literal["uniform", "return", "best"] = "uniform"
+    """Rows that batches hold: "uniform" all alike; "return" by exp(return of the row's episode, scaled to [0, 1] over
+    the log, / return_temperature); "best" only those of the best episodes."""
+    return_temperature: float = 0.1
+    """Of sampling="return": the lower, the more the best episodes are preferred; in the share of the range of returns
+    that makes a row e times as likely."""
+    best_share: float = 0.1
+    """Of sampling="best": episodes are taken whole, by return from the best down, until they hold this share."""
+    best_of: Literal["rows", "episodes"] = "rows"
+    """What best_share is a share of: the rows of the log, or its episodes."""
+
+    def row_choice(self) -> "RowChoice":
+        """These settings alone, without those that do nothing, in their range.
+
+        Raises:
+            ConfigError: a number lies outside its range.
+        """
+        if self.sampling == "return":
+            if not 0.0 < self.return_temperature < math.inf:
+                raise ConfigError(
+                    f"return_temperature={self.return_temperature} must be positive; a very large one is "
+                    "sampling='uniform'"
+                )
+            return RowChoice(sampling="return", return_temperature=self.return_temperature)
+        if self.sampling == "best":
+            if not 0.0 < self.best_share <= 1.0:
+                raise ConfigError(f"best_share={self.best_share} must lie in (0, 1]: the share that is learned from")
+            return RowChoice(sampling="best", best_share=self.best_share, best_of=self.best_of)
+        if self.sampling != "uniform":
+            raise ConfigError(f"sampling={self.sampling!r} is not known; known are 'uniform', 'return', 'best'")
+        return UNIFORM
+
+
+UNIFORM = RowChoice()
+
+
+def chosen_episodes(
+    returns: Float[np.ndarray, " episodes"], lengths: Int[np.ndarray, " episodes"], choice: RowChoice
+) -> Int[np.ndarray, " chosen"]:
+    """Episodes that rows are drawn from, in the order of the log; of equal returns the earlier is the better."""
+    if choice.sampling != "best":
+        return np.arange(len(returns))
+    ranked = np.argsort(-_finite(returns), kind="stable")
+    sizes = lengths[ranked] if choice.best_of == "rows" else np.ones(len(ranked), np.int64)
+    wanted = math.ceil(round(choice.best_share * int(sizes.sum()), 6))  # 0.1 * 30 is a little more than 3
+    return np.sort(ranked[: int(np.searchsorted(np.cumsum(sizes), wanted)) + 1])
+
+
+def episode_weights(returns: Float[np.ndarray, " episodes"], choice: RowChoice) -> Float[np.ndarray, " episodes"]:
+    """The weight of each row by its episode: 1 in the best episode; all 1 where returns are equal."""
+    returns = _finite(returns)
+    low, high = returns.min(), returns.max()
+    if choice.sampling != "return" or low == high:
+        return np.ones(len(returns))
+    return np.exp((returns - high) / (high - low) / choice.return_temperature)
+
+
+def effective_rows(weights: Float[np.ndarray, " rows"]) -> float:
+    """(sum w)^2 / sum w^2: as many rows, drawn uniformly, would be as various."""
+    return float(weights.sum() ** 2 / np.square(weights).sum())
+
+
+def drawn_from(dataset: Dataset, choice: RowChoice) -> Dataset:
+    """The episodes that rows are drawn from; the data set itself where these are all.
+
+    Raises:
+        ConfigError: the data say themselves how batches are drawn.
+    """
+    if choice.sampling != "uniform" and dataset.mixture is not None:
+        raise ConfigError(
+            f"sampling={choice.sampling!r}: the data are mixed per batch, which says already how rows are drawn; take "
+            "sampling='uniform', or mix without --per-batch (odaf.data.mixing.mix in Python)"
+        )
+    if choice.sampling != "best":
+        return dataset
+    return dataset.select(chosen_episodes(dataset.episode_returns(), dataset.episode_lengths(), choice))
+
+
+def _finite(returns: np.ndarray) -> np.ndarray:
+    wrong = np.flatnonzero(~np.isfinite(returns))
+    if len(wrong):
+        raise DatasetError(
+            f"sampling by return: the returns of {len(wrong)} episodes are no finite numbers (first: episode "
+            f"{wrong[0]}); mend their rewards, or take sampling='uniform'"
+        )
+    return np.asarray(returns, np.float64)

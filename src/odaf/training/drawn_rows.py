@@ -1,0 +1,58 @@
+"""How many rows a run really learns from, where it does not draw all alike: recorded, and refused if they are few."""
+
+from typing import Any
+
+from odaf.algorithms.base import Algorithm
+from odaf.data.dataset import Dataset
+from odaf.data.row_choice import chosen_episodes, effective_rows
+from odaf.data.sampling import row_weights
+from odaf.errors import ConfigError
+
+DRAWN = "drawn"
+"""The entry of `data.json`."""
+FEWEST_BATCHES = 10
+"""Effective rows, in batches, below which every update sees nearly the same rows."""
+
+
+def drawn_rows(algorithm: Algorithm, dataset: Dataset) -> dict[str, Any]:
+    """What `data.json` says of the rows that batches are drawn from; empty where all are drawn alike.
+
+    Raises:
+        ConfigError: a setting is out of its range, so few rows are left that a batch holds much of them, or the data
+            are mixed per batch.
+        DatasetError: rows are chosen by returns that are no finite numbers.
+    """
+    view = algorithm.drawn_view()
+    choice = view.choice
+    if choice.sampling == "uniform":
+        return {}
+    weights = row_weights(dataset, view)
+    returns = dataset.episode_returns()
+    chosen = chosen_episodes(returns, dataset.episode_lengths(), choice)
+    effective, least = effective_rows(weights), FEWEST_BATCHES * algorithm.batch_size
+    if effective < least:
+        setting = "return_temperature" if choice.sampling == "return" else "best_share"
+        of = "" if choice.sampling == "return" else f" of the {choice.best_of}"
+        raise ConfigError(
+            f"sampling={choice.sampling!r}, {setting}={getattr(choice, setting)}{of}: batches are drawn from "
+            f"{effective:,.0f} effective rows of {len(dataset):,}, fewer than {FEWEST_BATCHES} batches of "
+            f"{algorithm.batch_size}; raise {setting}, lower batch_size, or take sampling='uniform'"
+        )
+    return {
+        DRAWN: {
+            "sampling": choice.sampling,
+            "episodes": len(chosen),
+            "rows": len(weights),
+            "effective_rows": effective,
+            "log_rows": len(dataset),
+            "lowest_return": float(returns[chosen].min()),
+        }
+    }
+
+
+def in_words(drawn: dict[str, Any]) -> str:
+    """What `drawn_rows` found, as a sentence for the user."""
+    if drawn["sampling"] == "best":
+        found = f"the {drawn['rows']:,} rows of the {drawn['episodes']:,} best episodes"
+        return f"batches are drawn from {found} (return at least {drawn['lowest_return']:,.4g})"
+    return f"batches are drawn by return: as various as {drawn['effective_rows']:,.0f} rows of {drawn['log_rows']:,}"

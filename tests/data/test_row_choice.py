@@ -1,0 +1,168 @@
+"""Rows drawn by the return of their episode, or from the best episodes alone."""
+
+import jax
+import jax.numpy as jnp
+import jax.random as jr
+import numpy as np
+import pytest
+from scipy import stats
+
+from odaf.algorithms.numbers import changed
+from odaf.data import Dataset, Normaliser, Transitions, sample, training_columns
+from odaf.data.mixture import Mixture
+from odaf.data.row_choice import RowChoice, chosen_episodes, effective_rows, episode_weights
+from odaf.data.sampling import Slab, WeightedColumns, row_weights, training_column_shapes
+from odaf.data.view import View
+from odaf.errors import ConfigError, DatasetError
+
+BY_RETURN = RowChoice(sampling="return", return_temperature=0.5)
+
+
+def log(returns, lengths, **fields):
+    """Episodes of these returns; the observation of row i says i."""
+    rows = int(np.sum(lengths))
+    count = np.arange(rows, dtype=np.float32)
+    last = np.cumsum(lengths) - 1
+    ends = np.isin(np.arange(rows), last)
+    rewards = np.repeat(np.divide(returns, lengths), lengths)
+    return Dataset.from_arrays(
+        count[:, None], np.zeros((rows, 1)), rewards, count[:, None] + 0.5, truncated=ends, action_bounds=(-1.0, 1.0),
+        **fields,
+    )  # fmt: skip
+
+
+def columns_of(dataset, choice, **view):
+    return training_columns(dataset, Normaliser.identity(1), View(choice=choice, **view))
+
+
+def rows_of(batch):
+    return np.asarray(batch.observations)[:, 0].astype(int)
+
+
+@pytest.mark.parametrize(
+    ("share", "of", "chosen"),
+    [
+        # returns 5, 9, 9, -1 with 4, 2, 3, 1 rows: by return 1, 2 (a tie: the earlier first), 0, 3
+        (0.1, "rows", [1]),
+        (0.2, "rows", [1]),
+        (0.21, "rows", [1, 2]),
+        (0.5, "rows", [1, 2]),
+        (0.51, "rows", [0, 1, 2]),
+        (0.9, "rows", [0, 1, 2]),
+        (1.0, "rows", [0, 1, 2, 3]),
+        (0.1, "episodes", [1]),
+        (0.5, "episodes", [1, 2]),
+        (0.51, "episodes", [0, 1, 2]),
+    ],
+)
+def test_the_best_episodes_are_taken_whole_until_they_hold_the_share(share, of, chosen):
+    choice = RowChoice(sampling="best", best_share=share, best_of=of)
+    found = chosen_episodes(np.array([5.0, 9.0, 9.0, -1.0]), np.array([4, 2, 3, 1]), choice)
+    np.testing.assert_array_equal(found, chosen)
+    columns = columns_of(log([5.0, 9.0, 9.0, -1.0], [4, 2, 3, 1]), choice)
+    assert isinstance(columns, Transitions)
+    starts = [0, 4, 6, 9, 10]
+    expected = np.concatenate([np.arange(starts[episode], starts[episode + 1]) for episode in chosen])
+    np.testing.assert_array_equal(columns.observations[:, 0], expected)
+
+
+def test_weights_by_return_are_those_of_the_formula():
+    """exp(g / 0.5) with g = 0, 1/4, 1 of returns -3, -2, 1, and 1 for the best."""
+    expected = np.exp([-2.0, -1.5, 0.0])
+    np.testing.assert_allclose(episode_weights(np.array([-3.0, -2.0, 1.0]), BY_RETURN), expected, rtol=1e-14)
+    weights = row_weights(log([-3.0, -2.0, 1.0], [2, 1, 3]), View(choice=BY_RETURN))
+    np.testing.assert_allclose(weights, np.repeat(expected, [2, 1, 3]), rtol=1e-6)
+    assert effective_rows(np.array([1.0, 1.0, 0.0])) == 2.0
+    assert effective_rows(np.array([3.0, 1.0])) == pytest.approx(1.6)
+
+
+@pytest.mark.parametrize("returns", [[4.0], [2.0, 2.0, 2.0], [-1e30, -1e30]])
+def test_equal_returns_and_a_single_episode_draw_all_alike(returns):
+    lengths = [4] * len(returns)
+    np.testing.assert_array_equal(row_weights(log(returns, lengths), View(choice=BY_RETURN)), 1.0)
+    best = columns_of(log(returns, lengths), RowChoice(sampling="best"))
+    assert isinstance(best, Transitions) and best.rewards.shape == (4,)  # of equal ones the first
+
+
+def test_rows_come_as_often_as_their_weights_say():
+    """Chi-square over 60 rows and 60,000 draws at a fixed key; the limit is the 1e-6 quantile on both sides."""
+    dataset = log([-5.0, 0.0, 3.0, 5.0, 4.0], [5, 20, 10, 15, 10])
+    columns = columns_of(dataset, BY_RETURN)
+    rows = rows_of(jax.jit(lambda key: sample(columns, key, 60_000))(jr.key(2)))
+    weights = row_weights(dataset, View(choice=BY_RETURN))
+    expected = weights / weights.sum() * len(rows)
+    statistic = float((np.square(np.bincount(rows, minlength=60) - expected) / expected).sum())
+    assert 1e-6 < stats.chi2.sf(statistic, 59) < 1 - 1e-6
+    many = jax.vmap(lambda key: sample(columns, key, 16).observations)(jr.split(jr.key(5), 3))
+    np.testing.assert_array_equal(many[1], sample(columns, jr.split(jr.key(5), 3)[1], 16).observations)
+
+
+@pytest.mark.parametrize("choice", [BY_RETURN, RowChoice(sampling="best", best_share=0.6)])
+def test_rows_without_a_successor_so_many_steps_later_are_never_drawn(choice):
+    dataset = log([1.0, 5.0, 3.0], [4, 6, 5])
+    columns = columns_of(dataset, choice, return_steps=3, discount=0.9)
+    shapes = training_column_shapes(dataset, View(3, 0.9, choice=choice))
+    assert jax.tree.map(lambda leaf: (leaf.shape, leaf.dtype), columns) == jax.tree.map(
+        lambda leaf: (leaf.shape, leaf.dtype), shapes
+    )
+    rows = rows_of(sample(columns, jr.key(0), 4000))
+    whole = {0, 1} if choice is BY_RETURN else set()
+    assert set(rows.tolist()) == {*whole, 4, 5, 6, 7, 10, 11, 12}
+    if choice is BY_RETURN:
+        assert len(row_weights(dataset, View(3, 0.9, choice=choice))) == 9
+
+
+def test_a_set_behind_another_is_drawn_from_as_if_it_were_alone():
+    sets = [log([1.0, 3.0], [4, 5]), log([7.0, 2.0, 4.0], [3, 2, 6])]
+    alone = [columns_of(dataset, BY_RETURN) for dataset in sets]
+    together = jax.tree.map(lambda *parts: jnp.concatenate(parts), *alone)
+    assert isinstance(together, WeightedColumns)
+    for columns, first, rows in zip(alone, (0, 9), (9, 11), strict=True):
+        slab = Slab(together, jnp.asarray(first), jnp.asarray(rows))
+        for ours, theirs in zip(
+            jax.tree.leaves(sample(slab, jr.key(3), 200)), jax.tree.leaves(sample(columns, jr.key(3), 200)), strict=True
+        ):
+            np.testing.assert_array_equal(ours, theirs)
+
+
+def test_uniform_rows_are_the_draws_that_they_were():
+    """The golden rows are those of `jax.random.randint` itself."""
+    columns = columns_of(log([1.0, 2.0], [6, 7]), RowChoice())
+    assert isinstance(columns, Transitions)
+    rows = jr.randint(jr.key(11), (32,), 0, 13)
+    np.testing.assert_array_equal(rows_of(sample(columns, jr.key(11), 32)), rows)
+
+
+@pytest.mark.parametrize("sampling", ["return", "best"])
+def test_returns_that_are_no_numbers_and_mixed_batches_are_refused(sampling):
+    choice = RowChoice(sampling=sampling)
+    returns = np.array([1.0, np.nan, np.inf])
+    with pytest.raises(DatasetError, match=r"2 episodes are no finite numbers \(first: episode 1\)"):
+        episode_weights(returns, choice)
+        chosen_episodes(returns, np.array([1, 1, 1]), choice)
+    dataset = log([1.0, 2.0], [4, 4])
+    mixed = Dataset(**{**vars(dataset), "mixture": Mixture(4, 0.5)})
+    for build in (lambda: columns_of(mixed, choice), lambda: training_column_shapes(mixed, View(choice=choice))):
+        with pytest.raises(ConfigError, match=f"sampling='{sampling}': the data are mixed per batch.*--per-batch"):
+            build()
+
+
+@pytest.mark.parametrize(
+    ("fields", "match"),
+    [
+        ({"sampling": "return", "return_temperature": 0.0}, "return_temperature=0.0 must be positive"),
+        ({"sampling": "return", "return_temperature": float("nan")}, "return_temperature=nan must be positive"),
+        ({"sampling": "best", "best_share": 0.0}, r"best_share=0.0 must lie in \(0, 1\]"),
+        ({"sampling": "best", "best_share": 1.5}, "best_share=1.5"),
+        ({"sampling": "worst"}, "sampling='worst' is not known"),
+    ],
+)
+def test_settings_out_of_range_are_refused(fields, match):
+    with pytest.raises(ConfigError, match=match):
+        changed(RowChoice(), fields).row_choice()
+
+
+def test_numbers_that_do_nothing_tell_no_two_choices_apart():
+    assert RowChoice(best_share=0.3, return_temperature=9.0).row_choice() == RowChoice()
+    assert RowChoice(sampling="best", return_temperature=9.0).row_choice() == RowChoice(sampling="best")
+    assert RowChoice(sampling="return", best_share=0.3).row_choice() == RowChoice(sampling="return")
