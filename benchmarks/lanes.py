@@ -134,7 +134,7 @@ def main(arguments: list[str] | None = None) -> None:
                 f"lanes together{beside}; compiled in {seconds:.0f} s",
                 flush=True,
             )
-    write_figures(options.json, about, {"figures": figures})
+            write_figures(options.json, about, {"figures": figures})  # so far: the time may end before the last
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
 """`odaf reproduce`: the list, a part of a study, the budget, and what is refused."""
 
 import json
+import os
 import shutil
 from pathlib import Path
 from typing import Any
@@ -107,3 +108,25 @@ def test_the_list_and_the_help_load_no_simulator(capsys: pytest.CaptureFixture[s
         "assert not {'jax', 'mujoco', 'gymnasium'} & set(sys.modules)"
     )
     subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
+
+
+@pytest.mark.parametrize("in_time", [True, False])
+def test_lanes_come_first_and_what_they_did_not_end_is_left_to_them(tmp_path, monkeypatch, in_time: bool) -> None:
+    measured: list[tuple[list[str], str | None]] = []
+    kept: list[int] = []
+    words = ["reproduce", "pointmaze", "--only", "behaviour-cloning", "stitch", "--lanes", "--minutes", "4"]
+    jobs = [f"stitch-behaviour-cloning-seed{seed}-20000" for seed in range(4)]
+
+    def perform(ledger: Any, some: Any, *others: Any, minutes: float, **more: Any) -> None:
+        assert 0.0 < minutes <= 4.0
+        measured.append(([job.name for job in some], os.environ.get("JAX_PLATFORMS")))
+
+    monkeypatch.delenv("JAX_PLATFORMS", raising=False)
+    monkeypatch.setattr("odaf.studies.perform.perform", perform)
+    monkeypatch.setattr("odaf.studies.lanes.train_together", lambda *given, **more: in_time)
+    monkeypatch.setattr("odaf.studies.lanes.at_its_end", lambda job, place: job.name != jobs[1])
+    monkeypatch.setattr("odaf.studies.lanes.keep_actors", lambda ledger, some, place: kept.append(len(some)))
+    out = ["--out", str(tmp_path / "out"), "--ledger", str(tmp_path / "carried"), "--work", str(tmp_path / "work")]
+    assert main([*words, *out]) == 0
+    ended = [name for name in jobs if name != jobs[1]]
+    assert measured == [(ended, "cpu"), ([jobs[1]], None)][: 2 if in_time else 1] and kept == [4]

@@ -2,6 +2,7 @@
 
 import io
 import json
+import os
 import time
 from pathlib import Path
 
@@ -81,12 +82,24 @@ def test_what_the_time_did_not_allow_is_gone_on_with(carried, tmp_path: Path) ->
     assert not lanes.train_together(study.jobs(), work, Silent(), until=time.monotonic())
     MAZE.log.present(work)
     assert not lanes.train_together(study.jobs(), work, Silent(), until=time.monotonic() + 0.5)
+    assert not any(lanes.at_its_end(job, work) for job in study.jobs())
     assert lanes.train_together(study.jobs(), work, Silent())
+    assert all(lanes.at_its_end(job, work) for job in study.jobs())
     again = measured(study, tmp_path / "results", work)
     for job in study.jobs():
         ours, theirs = again.record(job), ledger.record(job)
         assert ours is not None and theirs is not None
         assert (ours["final"], ours["lanes"]) == (theirs["final"], theirs["lanes"])
+
+
+def test_processes_that_make_records_leave_the_accelerator_alone(monkeypatch) -> None:
+    for before in (None, "cuda"):
+        monkeypatch.delenv("JAX_PLATFORMS", raising=False)
+        if before is not None:
+            monkeypatch.setenv("JAX_PLATFORMS", before)
+        with lanes.on_processors():
+            assert os.environ["JAX_PLATFORMS"] == "cpu"
+        assert os.environ.get("JAX_PLATFORMS") == before
 
 
 def test_longer_runs_and_runs_begun_alone_are_left_to_the_schedule(tmp_path: Path) -> None:

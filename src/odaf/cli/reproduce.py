@@ -79,7 +79,7 @@ def run(arguments: list[str]) -> None:
 def _measure(study: "Study", options: ReproduceOptions) -> None:
     from odaf.studies.executor import Here
     from odaf.studies.job import chosen
-    from odaf.studies.lanes import keep_actors
+    from odaf.studies.lanes import at_its_end, keep_actors, on_processors
     from odaf.studies.ledger import Ledger
     from odaf.studies.news import Display
     from odaf.studies.perform import perform
@@ -92,11 +92,25 @@ def _measure(study: "Study", options: ReproduceOptions) -> None:
     if options.ledger is not None:
         jobs = [job for job in jobs if ledger.standing(job).state != "held"]
         ledger = Ledger(study, options.ledger)
+    begun = time.monotonic()
+
+    def measure(some: Sequence["Job"], minutes: float | None) -> None:
+        perform(ledger, some, work, Here(options.workers), Display(study.name), minutes=minutes, costs=costs)
+
+    def left() -> float | None:
+        return None if minutes is None else max(1e-3, minutes - (time.monotonic() - begun) / 60.0)
+
     with repeatable():
         if options.lanes:
-            minutes = _train_together(ledger, jobs, work, minutes)
-        if minutes is None or minutes > 0.0:
-            perform(ledger, jobs, work, Here(options.workers), Display(study.name), minutes=minutes, costs=costs)
+            in_time = _train_together(ledger, jobs, work, minutes)
+            with on_processors():
+                measure([job for job in jobs if at_its_end(job, work)], left())
+            # What was cut off goes on in lanes next time: alone, one would take the time of all.
+            others = [job for job in jobs if in_time and not at_its_end(job, work)]
+            if others:
+                measure(others, left())
+        else:
+            measure(jobs, minutes)
         if options.ledger is not None:
             keep_actors(ledger, jobs, work)
     print(f"The records are in {ledger.out}, drawn as {', '.join([*study.tables, *study.figures])}")
@@ -104,18 +118,18 @@ def _measure(study: "Study", options: ReproduceOptions) -> None:
         print(f"Take them over with: odaf reproduce {study.name} --merge {options.ledger}")
 
 
-def _train_together(ledger: "Ledger", jobs: Sequence["Job"], work: Path, minutes: float | None) -> float | None:
-    """Trains in lanes what is missing; returns the minutes that are left."""
+def _train_together(ledger: "Ledger", jobs: Sequence["Job"], work: Path, minutes: float | None) -> bool:
+    """Trains in lanes what is missing; returns whether all was trained in its share of the minutes."""
     from odaf.studies.lanes import train_together
     from odaf.training.progress import default_progress
 
-    begun = time.monotonic()
     missing = [job for job in jobs if ledger.standing(job).state != "held"]
-    until = None if minutes is None else begun + _SHARE_OF_LANES * 60.0 * minutes
+    until = None if minutes is None else time.monotonic() + _SHARE_OF_LANES * 60.0 * minutes
     report = default_progress(True)
-    if not train_together(missing, work, report, until=until):
+    in_time = train_together(missing, work, report, until=until)
+    if not in_time:
         report.message("time is up for training; the same command goes on where it stopped")
-    return None if minutes is None else minutes - (time.monotonic() - begun) / 60.0
+    return in_time
 
 
 def _merge(ledger: "Ledger", other: "Ledger") -> None:

@@ -4,9 +4,11 @@ Lanes train what is missing; then the study is performed as ever, and finds thes
 the same whichever way its policy was trained, and how many lanes there were besides.
 """
 
+import contextlib
 import functools
+import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -78,6 +80,31 @@ def train_together(
                 raise
             return False
     return True
+
+
+def at_its_end(job: Job, place: Path) -> bool:
+    """Whether a job is a training that has made all its updates, or diverged: only its record is still to be made."""
+    from odaf.runs.fit import load_run
+
+    work = job.do
+    if not isinstance(work, Training) or not (work.directory(place) / "config.json").exists():
+        return False
+    run = load_run(work.directory(place))
+    return run.config["steps"] == work.steps and run.summary[work.seed]["status"] in ("finished", "diverged")
+
+
+@contextlib.contextmanager
+def on_processors() -> Iterator[None]:
+    """A block whose new processes leave an accelerator alone: one process may have filled its memory."""
+    before = os.environ.get("JAX_PLATFORMS")
+    os.environ["JAX_PLATFORMS"] = "cpu"
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ["JAX_PLATFORMS"]
+        else:
+            os.environ["JAX_PLATFORMS"] = before
 
 
 @dataclass(frozen=True)
