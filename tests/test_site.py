@@ -30,7 +30,8 @@ def test_every_public_name_is_on_a_page_of_the_api():
     assert len(names) == len(set(names)), "a name is shown twice"
     missing = {f"odaf.{name}" for name in odaf.__all__ if name != "__version__"} - set(names)
     assert not missing
-    shown = {id(pkgutil.resolve_name(name)) for name in names}
+    # With a colon, nothing below the module is imported: presets/tasks is a folder as well as a function.
+    shown = {id(pkgutil.resolve_name(":".join(name.rpartition(".")[::2]))) for name in names}
     for room in ROOMS:
         module = importlib.import_module(f"odaf.{room}")
         missing = {f"odaf.{room}.{name}" for name in module.__all__ if id(getattr(module, name)) not in shown}
