@@ -25,20 +25,12 @@ def documented() -> list[str]:
     return [name for page in API.glob("*.md") for name in re.findall(r"^::: (\S+)$", page.read_text(), re.MULTILINE)]
 
 
-def _resolved(name: str) -> object:
-    """What a page shows. An attribute first, as presets/tasks is a folder as well as a function; else a module."""
-    try:
-        return pkgutil.resolve_name(":".join(name.rpartition(".")[::2]))
-    except AttributeError:
-        return pkgutil.resolve_name(name)
-
-
 def test_every_public_name_is_on_a_page_of_the_api():
     names = documented()
     assert len(names) == len(set(names)), "a name is shown twice"
     missing = {f"odaf.{name}" for name in odaf.__all__ if name != "__version__"} - set(names)
     assert not missing
-    shown = {id(_resolved(name)) for name in names}
+    shown = {id(pkgutil.resolve_name(name)) for name in names}
     for room in ROOMS:
         module = importlib.import_module(f"odaf.{room}")
         missing = {f"odaf.{room}.{name}" for name in module.__all__ if id(getattr(module, name)) not in shown}

@@ -1,6 +1,6 @@
 """Tuned settings as data files; this package only finds and reads them.
 
-A preset is a TOML file here, or one of the user's own, named by its path. `tasks/PRESET.toml` holds what differs by
+A preset is a TOML file here, or one of the user's own, named by its path. `by_task/PRESET.toml` holds what differs by
 task: a table for each task with fields of the learner, and a term's fields under the term's name. A preset has the
 tasks of the preset that it extends as well.
 """
@@ -152,7 +152,7 @@ def _tasks(name: str) -> dict[str, dict[str, Any]]:
 def _task_file(name: str) -> dict[str, dict[str, Any]]:
     if is_file(name):
         return {}
-    file = resources.files(__name__).joinpath("tasks", f"{name}.toml")
+    file = resources.files(__name__).joinpath("by_task", f"{name}.toml")
     return tomllib.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
 
 
