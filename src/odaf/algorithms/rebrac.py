@@ -23,8 +23,8 @@ import jax.random as jr
 from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 
 from odaf.algorithms import citations
-from odaf.algorithms.base import Algorithm, Metrics
-from odaf.algorithms.twin_delayed import TwinDelayedState
+from odaf.algorithms.base import Metrics
+from odaf.algorithms.twin_delayed import TwinDelayed, TwinDelayedState
 from odaf.components.critics import CriticEnsemble, init_critics
 from odaf.components.networks import init_mlp
 from odaf.components.numbers import Number
@@ -58,11 +58,11 @@ def actor_loss(
 
 
 @dataclasses.dataclass(frozen=True)
-class ReBRAC(Algorithm[TwinDelayedState]):
+class ReBRAC(TwinDelayed):
     """Twin delayed critics, with a behaviour penalty of its own for the actor and for the critics."""
 
     kind: ClassVar[str] = "rebrac"
-    structural: ClassVar[frozenset[str]] = frozenset({"normaliser_epsilon"})
+    not_negative: ClassVar[tuple[str, ...]] = ("actor_penalty", "critic_penalty")
 
     hidden_sizes: tuple[int, ...] = (256, 256, 256)
     """Widths of the hidden layers of actor and critics."""
@@ -70,40 +70,19 @@ class ReBRAC(Algorithm[TwinDelayedState]):
     """Weight of the actor's squared distance from the logged action, in units of the mean size of the values."""
     critic_penalty: float = 0.01
     """Weight of the next action's squared distance from the logged one, taken off the target, in scaled rewards."""
-    discount: float = 0.99
-    """gamma, in [0, 1)."""
     reward_scale: float = 1.0
     """Factor on all rewards."""
-    target_noise: float = 0.2
-    """Standard deviation of the noise on the target's action."""
-    noise_clip: float = 0.5
-    """c, the largest size of that noise."""
-    actor_delay: int = 2
-    """Updates of the critics for each of the actor and of the slow copies."""
-    target_rate: float = 5e-3
-    """Share of the networks that enters their slow copies at each actor step."""
     actor_learning_rate: float = 1e-3
     """Step size of Adam for the actor."""
     critic_learning_rate: float = 1e-3
     """Step size of Adam for the critics."""
     batch_size: int = 1024
     """Transitions a gradient step."""
-    normaliser_epsilon: float = 1e-3
-    """Added to the standard deviations that observations are divided by, in their own units."""
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.discount < 1.0:
-            raise ConfigError(f"discount={self.discount} must lie in [0, 1)")
-        if not 0.0 < self.target_rate <= 1.0:
-            raise ConfigError(f"target_rate={self.target_rate} must lie in (0, 1]: the share that moves each time")
+        super().__post_init__()
         if not 0.0 < self.reward_scale < math.inf:
             raise ConfigError(f"reward_scale={self.reward_scale} must be positive")
-        for field in ("actor_delay", "batch_size"):
-            if getattr(self, field) < 1:
-                raise ConfigError(f"{field}={getattr(self, field)} must be at least 1")
-        for field in ("actor_penalty", "critic_penalty", "target_noise", "noise_clip", "normaliser_epsilon"):
-            if getattr(self, field) < 0.0:
-                raise ConfigError(f"{field}={getattr(self, field)} must not be negative")
 
     def citations(self) -> tuple[citations.Citation, ...]:
         """ReBRAC."""
@@ -127,31 +106,22 @@ class ReBRAC(Algorithm[TwinDelayedState]):
 
     def target(self, state: TwinDelayedState, batch: Transitions, key: PRNGKeyArray) -> Float[Array, " rows"]:
         """y, the same for both critics."""
-        actions, next_values = state.next_step(key, batch, self.target_noise, self.noise_clip)
+        actions, members = self.next_step(state, batch, key)
         distance = batch.extras["followed"] * squared_distance(actions, batch.extras["next_actions"])
-        next_values = next_values - self.critic_penalty * distance
+        next_values = jnp.min(members, axis=0) - self.critic_penalty * distance
         return bellman_target(self.reward_scale * batch.rewards, batch.terminated, next_values, self.discount)
 
     def update(
         self, state: TwinDelayedState, batch: Transitions, key: PRNGKeyArray
     ) -> tuple[TwinDelayedState, Metrics]:
         """A step of the critics; at every `actor_delay`-th one of the actor and the slow copies against them."""
-        state, metrics = state.updated(
+        state, metrics = self.updated(
+            state,
             batch,
             self.target(state, batch, key),
             lambda actor, critics: actor_loss(actor, critics, batch, self.actor_penalty),
-            actor_delay=self.actor_delay,
             actor_rate=self.actor_learning_rate,
             critic_rate=self.critic_learning_rate,
-            target_rate=self.target_rate,
         )
         of_values = ("critic/mean", "critic/min", "critic/max", "target/mean", "actor/value")
         return state, metrics | {name: metrics[name] / self.reward_scale for name in of_values}
-
-    def actor(self, state: TwinDelayedState) -> DeterministicActor:
-        """mu."""
-        return state.actor.now
-
-    def values(self, state: TwinDelayedState) -> CriticEnsemble:
-        """Both critics."""
-        return CriticEnsemble(state.critics.now)

@@ -20,15 +20,13 @@ import jax.random as jr
 from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 
 from odaf.algorithms import citations
-from odaf.algorithms.base import Algorithm, Metrics
-from odaf.algorithms.twin_delayed import TwinDelayedState
+from odaf.algorithms.base import Metrics
+from odaf.algorithms.twin_delayed import TwinDelayed, TwinDelayedState
 from odaf.components.critics import CriticEnsemble, init_critics
 from odaf.components.policies import DeterministicActor, init_deterministic_actor
 from odaf.components.targets import bellman_target
 from odaf.data.spec import Spec
 from odaf.data.transitions import Transitions
-from odaf.data.view import View
-from odaf.errors import ConfigError
 
 
 def actor_loss(
@@ -45,52 +43,20 @@ def actor_loss(
 
 
 @dataclasses.dataclass(frozen=True)
-class TD3BC(Algorithm[TwinDelayedState]):
+class TD3BC(TwinDelayed):
     """Twin delayed critics with a cloning loss beside the actor's."""
 
     kind: ClassVar[str] = "td3-bc"
-    structural: ClassVar[frozenset[str]] = frozenset({"normaliser_epsilon"})
+    not_negative: ClassVar[tuple[str, ...]] = ("value_weight",)
 
-    hidden_sizes: tuple[int, ...] = (256, 256)
-    """Widths of the hidden layers of actor and critics."""
     value_weight: float = 2.5
     """alpha, the weight of the value against cloning, in units of the mean size of the values."""
-    discount: float = 0.99
-    """gamma, in [0, 1)."""
-    target_noise: float = 0.2
-    """Standard deviation of the noise on the target's action."""
-    noise_clip: float = 0.5
-    """c, the largest size of that noise."""
-    actor_delay: int = 2
-    """Updates of the critics for each of the actor and of the slow copies."""
-    target_rate: float = 5e-3
-    """Share of the networks that enters their slow copies at each actor step."""
     learning_rate: float = 3e-4
     """Step size of Adam for actor and critics."""
-    batch_size: int = 256
-    """Transitions a gradient step."""
-    normaliser_epsilon: float = 1e-3
-    """Added to the standard deviations that observations are divided by, in their own units."""
-
-    def __post_init__(self) -> None:
-        if not 0.0 <= self.discount < 1.0:
-            raise ConfigError(f"discount={self.discount} must lie in [0, 1)")
-        if not 0.0 < self.target_rate <= 1.0:
-            raise ConfigError(f"target_rate={self.target_rate} must lie in (0, 1]: the share that moves each time")
-        for field in ("actor_delay", "batch_size"):
-            if getattr(self, field) < 1:
-                raise ConfigError(f"{field}={getattr(self, field)} must be at least 1")
-        for field in ("value_weight", "target_noise", "noise_clip", "normaliser_epsilon"):
-            if getattr(self, field) < 0.0:
-                raise ConfigError(f"{field}={getattr(self, field)} must not be negative")
 
     def citations(self) -> tuple[citations.Citation, ...]:
         """TD3+BC."""
         return (citations.TD3_BC,)
-
-    def view(self) -> View:
-        """Single rows; papers add 1e-3 to the spreads."""
-        return View(discount=self.discount, normaliser_epsilon=self.normaliser_epsilon)
 
     def init(self, key: PRNGKeyArray, spec: Spec, models: PyTree) -> TwinDelayedState:
         """Random networks, slow copies equal to them, fresh optimisers."""
@@ -104,27 +70,18 @@ class TD3BC(Algorithm[TwinDelayedState]):
 
     def target(self, state: TwinDelayedState, batch: Transitions, key: PRNGKeyArray) -> Float[Array, " rows"]:
         """y, the same for both critics."""
-        _, next_values = state.next_step(key, batch, self.target_noise, self.noise_clip)
-        return bellman_target(batch.rewards, batch.terminated, next_values, self.discount)
+        _, next_values = self.next_step(state, batch, key)
+        return bellman_target(batch.rewards, batch.terminated, jnp.min(next_values, axis=0), self.discount)
 
     def update(
         self, state: TwinDelayedState, batch: Transitions, key: PRNGKeyArray
     ) -> tuple[TwinDelayedState, Metrics]:
         """A step of the critics; at every `actor_delay`-th one of the actor and the slow copies against them."""
-        return state.updated(
+        return self.updated(
+            state,
             batch,
             self.target(state, batch, key),
             lambda actor, critics: actor_loss(actor, critics, batch, self.value_weight),
-            actor_delay=self.actor_delay,
             actor_rate=self.learning_rate,
             critic_rate=self.learning_rate,
-            target_rate=self.target_rate,
         )
-
-    def actor(self, state: TwinDelayedState) -> DeterministicActor:
-        """mu."""
-        return state.actor.now
-
-    def values(self, state: TwinDelayedState) -> CriticEnsemble:
-        """Both critics."""
-        return CriticEnsemble(state.critics.now)

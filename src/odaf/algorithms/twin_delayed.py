@@ -1,4 +1,4 @@
-"""The core of TD3 (Fujimoto et al. 2018), which its offline relatives share: twin critics and a delayed actor.
+"""The core of TD3 (Fujimoto et al. 2018) that its offline relatives share: settings, state, and the order of a step.
 
     a' = clip( mu'(s') + clip(noise, -c, c), -1, 1 ),                noise ~ N(0, target_noise^2)
 
@@ -8,13 +8,15 @@ then and only then.
 
 import dataclasses
 from collections.abc import Callable
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
 import jax.random as jr
-from jaxtyping import Array, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Float, Int, PRNGKeyArray, PyTree
 
-from odaf.algorithms.base import LearnerState, Metrics
+from odaf.algorithms.base import Algorithm, LearnerState, Metrics
+from odaf.algorithms.numbers import is_off
 from odaf.components.critics import CriticEnsemble
 from odaf.components.losses import ensemble_td_gradient
 from odaf.components.networks import MLP
@@ -23,8 +25,14 @@ from odaf.components.policies import DeterministicActor
 from odaf.components.targets import polyak
 from odaf.components.trained import Trained
 from odaf.data.transitions import Transitions
+from odaf.data.view import View
+from odaf.errors import ConfigError
 
+Act = Callable[[DeterministicActor, Float[Array, "rows obs_dim"]], Float[Array, "rows act_dim"]]
 ActorLoss = Callable[[DeterministicActor, CriticEnsemble], tuple[Float[Array, ""], Metrics]]
+CriticGradient = Callable[
+    [CriticEnsemble, Transitions, Float[Array, " rows"]], tuple[CriticEnsemble, Float[Array, "critics rows"], Metrics]
+]
 
 
 class TwinDelayedState(LearnerState):
@@ -34,66 +42,133 @@ class TwinDelayedState(LearnerState):
     actor: Trained[DeterministicActor]
     critics: Trained[MLP]
     actor_metrics: dict[str, Float[Array, ""]]  # of the last actor step, so that means do not count the steps without
+    models: PyTree = ()  # what was fitted to the log beforehand, and constants of the log; they stay as they are
 
     @classmethod
-    def begin(cls, actor: DeterministicActor, critics: MLP, metrics: tuple[str, ...]) -> "TwinDelayedState":
+    def begin(
+        cls, actor: DeterministicActor, critics: MLP, metrics: tuple[str, ...], models: PyTree = ()
+    ) -> "TwinDelayedState":
         """Slow copies equal to the networks, fresh optimisers, the actor's metrics 0 until its first step."""
         none_yet = {name: jnp.zeros(()) for name in metrics}
-        return cls(jnp.asarray(0), Trained.begin(actor), Trained.begin(critics), none_yet)
+        return cls(jnp.asarray(0), Trained.begin(actor), Trained.begin(critics), none_yet, models)
+
+
+def td_gradient(
+    critics: CriticEnsemble, batch: Transitions, target: Float[Array, " rows"]
+) -> tuple[CriticEnsemble, Float[Array, "critics rows"], Metrics]:
+    """Gradient of L_Q = sum_k mean_B ( Q_k(s, a) - y )^2, the values of the logged actions, and the loss."""
+    gradient, loss, values = ensemble_td_gradient(critics, batch.observations, batch.actions, target)
+    return gradient, values, {"critic/loss": loss}
+
+
+@dataclasses.dataclass(frozen=True)
+class TwinDelayed(Algorithm[TwinDelayedState]):
+    """TD3's settings and what they decide; a relative adds its own, its target and its actor's loss."""
+
+    structural: ClassVar[frozenset[str]] = frozenset({"normaliser_epsilon"})
+    not_negative: ClassVar[tuple[str, ...]] = ()  # settings of a relative's own that must not be
+
+    hidden_sizes: tuple[int, ...] = (256, 256)
+    """Widths of the hidden layers of actor and critics."""
+    discount: float = 0.99
+    """gamma, in [0, 1)."""
+    target_noise: float = 0.2
+    """Standard deviation of the noise on the target's action."""
+    noise_clip: float = 0.5
+    """c, the largest size of that noise."""
+    actor_delay: int = 2
+    """Updates of the critics for each of the actor and of the slow copies."""
+    target_rate: float = 5e-3
+    """Share of the networks that enters their slow copies at each actor step."""
+    batch_size: int = 256
+    """Transitions a gradient step."""
+    normaliser_epsilon: float = 1e-3
+    """Added to the standard deviations that observations are divided by, in their own units."""
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.discount < 1.0:
+            raise ConfigError(f"discount={self.discount} must lie in [0, 1)")
+        if not 0.0 < self.target_rate <= 1.0:
+            raise ConfigError(f"target_rate={self.target_rate} must lie in (0, 1]: the share that moves each time")
+        for field in ("actor_delay", "batch_size"):
+            if getattr(self, field) < 1:
+                raise ConfigError(f"{field}={getattr(self, field)} must be at least 1")
+        for field in (*self.not_negative, "target_noise", "noise_clip", "normaliser_epsilon"):
+            if getattr(self, field) < 0.0:
+                raise ConfigError(f"{field}={getattr(self, field)} must not be negative")
+
+    def view(self) -> View:
+        """Single rows; papers add 1e-3 to the spreads."""
+        return View(discount=self.discount, normaliser_epsilon=self.normaliser_epsilon)
 
     def next_step(
-        self, key: PRNGKeyArray, batch: Transitions, target_noise: Number, noise_clip: Number
-    ) -> tuple[Float[Array, "rows act_dim"], Float[Array, " rows"]]:
-        """a' of the slow actor and min_k Q'_k(s', a')."""
-        assert self.actor.slow is not None and self.critics.slow is not None
-        noise = jnp.clip(target_noise * jr.normal(key, batch.actions.shape), -noise_clip, noise_clip)
-        actions = jnp.clip(self.actor.slow.mode(batch.next_observations) + noise, -1.0, 1.0)
-        return actions, jnp.min(CriticEnsemble(self.critics.slow)(batch.next_observations, actions), axis=0)
+        self, state: TwinDelayedState, batch: Transitions, key: PRNGKeyArray, act: Act = DeterministicActor.mode
+    ) -> tuple[Float[Array, "rows act_dim"], Float[Array, "critics rows"]]:
+        """a' and Q'_k(s', a').
+
+        Args:
+            state: whose slow copies are asked.
+            batch: rows of the log.
+            key: of the noise; without noise nothing is drawn.
+            act: what the slow actor does at s'.
+        """
+        assert state.actor.slow is not None and state.critics.slow is not None
+        actions = act(state.actor.slow, batch.next_observations)
+        if not is_off(self.target_noise):
+            noise = self.target_noise * jr.normal(key, batch.actions.shape)
+            actions = jnp.clip(actions + jnp.clip(noise, -self.noise_clip, self.noise_clip), -1.0, 1.0)
+        return actions, CriticEnsemble(state.critics.slow)(batch.next_observations, actions)
 
     def updated(
         self,
+        state: TwinDelayedState,
         batch: Transitions,
         target: Float[Array, " rows"],
         actor_loss: ActorLoss,
         *,
-        actor_delay: int,
         actor_rate: Number,
         critic_rate: Number,
-        target_rate: Number,
-    ) -> tuple["TwinDelayedState", Metrics]:
+        critic_gradient: CriticGradient = td_gradient,
+    ) -> tuple[TwinDelayedState, Metrics]:
         """A step of the critics towards the target; at every `actor_delay`-th one of the actor and the slow copies.
 
         Args:
+            state: before the step.
             batch: rows of the log.
-            target: y, the same for both critics.
+            target: y, the same for all critics.
             actor_loss: of an actor against critics, whose gradient reaches the actor only, with its metrics.
-            actor_delay: updates of the critics for each of the actor.
             actor_rate: the actor's step size.
             critic_rate: the critics' step size.
-            target_rate: share of the networks that enters their slow copies at each actor step.
+            critic_gradient: of the critics' loss, with the values of the logged actions and further metrics.
         """
-        online = CriticEnsemble(self.critics.now)
-        gradient, loss, values = ensemble_td_gradient(online, batch.observations, batch.actions, target)
-        state = dataclasses.replace(self, critics=self.critics.stepped(gradient.networks, critic_rate))
+        gradient, values, losses = critic_gradient(CriticEnsemble(state.critics.now), batch, target)
+        state = dataclasses.replace(state, critics=state.critics.stepped(gradient.networks, critic_rate))
 
         def actor_step(state: TwinDelayedState) -> TwinDelayedState:
             critics = CriticEnsemble(state.critics.now)
             gradient, metrics = jax.grad(actor_loss, has_aux=True)(state.actor.now, critics)
-            slow = polyak(state.critics.slow, state.critics.now, target_rate)
+            slow = polyak(state.critics.slow, state.critics.now, self.target_rate)
             return dataclasses.replace(
                 state,
-                actor=state.actor.stepped(gradient, actor_rate, target_rate),
+                actor=state.actor.stepped(gradient, actor_rate, self.target_rate),
                 critics=dataclasses.replace(state.critics, slow=slow),
                 actor_metrics=metrics,
             )
 
-        is_due = (state.step + 1) % actor_delay == 0
+        is_due = (state.step + 1) % self.actor_delay == 0
         state = jax.lax.cond(is_due, actor_step, lambda state: state, state)
-        metrics = {
-            "critic/loss": loss,
+        metrics = losses | {
             "critic/mean": jnp.mean(values),
             "critic/min": jnp.min(values),
             "critic/max": jnp.max(values),
             "target/mean": jnp.mean(target),
         }
         return dataclasses.replace(state, step=state.step + 1), metrics | state.actor_metrics
+
+    def actor(self, state: TwinDelayedState) -> DeterministicActor:
+        """mu."""
+        return state.actor.now
+
+    def values(self, state: TwinDelayedState) -> CriticEnsemble:
+        """All critics."""
+        return CriticEnsemble(state.critics.now)
