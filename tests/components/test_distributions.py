@@ -11,11 +11,17 @@ from scipy import integrate, stats
 
 from golden import networks, tiny
 from odaf.components.distributions import (
+    exact_sample_tanh_gaussian,
     gaussian_divergence,
     sample_tanh_gaussian,
     symmetric_gaussian_divergence,
 )
-from odaf.components.policies import GaussianActor, init_deterministic_actor, init_gaussian_actor
+from odaf.components.policies import (
+    GaussianActor,
+    NarrowGaussianActor,
+    init_deterministic_actor,
+    init_gaussian_actor,
+)
 
 draw = jax.jit(sample_tanh_gaussian)
 
@@ -61,6 +67,26 @@ def test_a_saturated_action_costs_at_most_the_floor():
 
 def _actor(size: float = 0.6) -> GaussianActor:
     return tiny.filled(jax.eval_shape(lambda: init_gaussian_actor(jr.key(0), 3, 2, (4, 4))), size=size)
+
+
+def test_the_exact_density_of_a_draw_has_no_floor():
+    with tiny.exactly():
+        mean, log_std, noise = (tiny.floats(part) for part in ([[0.3, 12.0]], [[-0.5, 0.1]], [[1.2, -0.4]]))
+        action, density = exact_sample_tanh_gaussian(mean, log_std, noise)
+        z = np.array([0.3 + 1.2 * np.exp(-0.5), 12.0 - 0.4 * np.exp(0.1)])
+        np.testing.assert_allclose(action[0], np.tanh(z), rtol=1e-12)
+        normal = stats.norm.logpdf(z, [0.3, 12.0], np.exp([-0.5, 0.1]))
+        np.testing.assert_allclose(density[0], np.sum(normal + 2.0 * np.log(np.cosh(z))), rtol=1e-9)
+
+
+def test_the_narrow_actor_keeps_its_deviation_between_a_hundredth_and_one_and_never_loses_the_slope():
+    with tiny.exactly():
+        network = tiny.filled(init_gaussian_actor(jr.key(0), tiny.OBS_DIM, tiny.ACT_DIM, (4,)).network, 3)
+        rows = tiny.batch().observations
+        output = networks.mlp(network, rows)
+        mean, log_std = NarrowGaussianActor(network).parameters(rows)
+        np.testing.assert_allclose(mean, output[:, :2], rtol=1e-9)
+        np.testing.assert_allclose(log_std, -5.0 + 2.5 * (np.tanh(output[:, 2:]) + 1.0), rtol=1e-9)
 
 
 def test_the_actor_clips_its_log_standard_deviation_and_not_its_mean():

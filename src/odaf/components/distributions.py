@@ -37,10 +37,22 @@ def exact_tanh_gaussian_log_density(
     """
     inside = 1.0 - jnp.finfo(action.dtype).epsneg
     pre_tanh = jnp.arctanh(jnp.clip(action, -inside, inside))
-    size = jnp.abs(pre_tanh)
-    correction = 2.0 * (math.log(2.0) - size - jnp.log1p(jnp.exp(-2.0 * size)))
     noise = (pre_tanh - mean) * jnp.exp(-log_std)
-    return jnp.sum(-0.5 * (jnp.square(noise) + LOG_TWO_PI) - log_std - correction, axis=-1)
+    return jnp.sum(-0.5 * (jnp.square(noise) + LOG_TWO_PI) - log_std - _log_squash_slope(pre_tanh), axis=-1)
+
+
+def exact_sample_tanh_gaussian(
+    mean: Float[Array, "*rows act_dim"], log_std: Float[Array, "*rows act_dim"], noise: Float[Array, "*rows act_dim"]
+) -> tuple[Float[Array, "*rows act_dim"], Float[Array, "*rows"]]:
+    """As `sample_tanh_gaussian`, with the log-density's digits up to the bounds instead of a floor."""
+    pre_tanh = mean + jnp.exp(log_std) * noise
+    log_density = -0.5 * (jnp.square(noise) + LOG_TWO_PI) - log_std - _log_squash_slope(pre_tanh)
+    return jnp.tanh(pre_tanh), jnp.sum(log_density, axis=-1)
+
+
+def _log_squash_slope(pre_tanh: Float[Array, "*rows act_dim"]) -> Float[Array, "*rows act_dim"]:
+    size = jnp.abs(pre_tanh)
+    return 2.0 * (math.log(2.0) - size - jnp.log1p(jnp.exp(-2.0 * size)))
 
 
 def sample_tanh_gaussian(

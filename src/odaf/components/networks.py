@@ -38,15 +38,35 @@ class MLP(eqx.Module):
             `(rows, out)` for one network, `(members, rows, out)` for a stack; a stack given `(rows, in)` shows the
             same rows to every member.
         """
+        return self._onwards(_product(x, self.weights[0]) + _over_rows(self.biases[0]))
+
+    def of_draws(
+        self, shared: Float[Array, "rows shared_in"], drawn: Float[Array, "draws rows drawn_in"]
+    ) -> Float[Array, "draws rows fan_out"]:
+        """Map rows whose first entries all draws share; the first layer's sums over these are computed once.
+
+        For a single network, not a stack.
+
+        Args:
+            shared: first part of every input.
+            drawn: the rest, one for each draw.
+
+        Returns:
+            What the network gives for the two side by side.
+        """
+        first, width = self.weights[0], shared.shape[1]
+        sums = (shared @ first[:width] + _over_rows(self.biases[0]))[None] + drawn @ first[width:]
+        return self._onwards(sums.reshape(-1, first.shape[1])).reshape(*drawn.shape[:2], -1)
+
+    def _onwards(self, x: Float[Array, "*any rows width"]) -> Float[Array, "*out rows fan_out"]:
+        """From the first layer's sums to the output."""
         last = len(self.weights) - 1
-        for index, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
-            rounded = self.products == "bfloat16" and 0 < index < last
-            x = (_rounded_product(x, weight) if rounded else _product(x, weight)) + _over_rows(bias)
-            if index == last:
-                return x
+        for index in range(last):
             if self.scales:
                 x = _layer_norm(x) * _over_rows(self.scales[index]) + _over_rows(self.offsets[index])
             x = jax.nn.relu(x) if self.activation == "relu" else jax.nn.silu(x)
+            weight, rounded = self.weights[index + 1], self.products == "bfloat16" and index + 1 < last
+            x = (_rounded_product(x, weight) if rounded else _product(x, weight)) + _over_rows(self.biases[index + 1])
         return x
 
 

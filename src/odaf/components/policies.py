@@ -62,10 +62,14 @@ class Actor(eqx.Module):
         return self.act(self.begin(observations.shape[0]), observations)[0]
 
 
-class GaussianActor(Actor):
-    """pi(a|s): an MLP whose outputs are the mean and the log standard deviation before the tanh."""
+class SquashedGaussianActor(Actor):
+    """pi(a|s): the tanh of a Gaussian whose mean and log standard deviation depend on the state."""
 
-    network: MLP
+    @abc.abstractmethod
+    def parameters(
+        self, observations: Float[Array, "rows obs_dim"]
+    ) -> tuple[Float[Array, "rows act_dim"], Float[Array, "rows act_dim"]]:
+        """Mean and log standard deviation of the Gaussian before squashing."""
 
     def act(
         self, carry: PyTree, observations: Float[Array, "rows obs_dim"], key: PRNGKeyArray | None = None
@@ -82,13 +86,6 @@ class GaussianActor(Actor):
         """log pi(a|s) in nats, without a floor; an action on a bound counts as the nearest number inside."""
         return exact_tanh_gaussian_log_density(*self.parameters(observations), actions)
 
-    def parameters(
-        self, observations: Float[Array, "rows obs_dim"]
-    ) -> tuple[Float[Array, "rows act_dim"], Float[Array, "rows act_dim"]]:
-        """Mean and log standard deviation (clipped to [-5, 2]) of the Gaussian before squashing."""
-        mean, log_std = jnp.split(self.network(observations), 2, axis=-1)
-        return mean, jnp.clip(log_std, LOG_STD_MIN, LOG_STD_MAX)
-
     def sample(
         self, observations: Float[Array, "rows obs_dim"], noise: Float[Array, "rows act_dim"]
     ) -> tuple[Float[Array, "rows act_dim"], Float[Array, " rows"]]:
@@ -97,8 +94,37 @@ class GaussianActor(Actor):
         return sample_tanh_gaussian(mean, log_std, noise)
 
 
+class GaussianActor(SquashedGaussianActor):
+    """pi(a|s): an MLP whose outputs are the mean and the log standard deviation before the tanh."""
+
+    network: MLP
+
+    def parameters(
+        self, observations: Float[Array, "rows obs_dim"]
+    ) -> tuple[Float[Array, "rows act_dim"], Float[Array, "rows act_dim"]]:
+        """Mean and log standard deviation (clipped to [-5, 2]) of the Gaussian before squashing."""
+        mean, log_std = jnp.split(self.network(observations), 2, axis=-1)
+        return mean, jnp.clip(log_std, LOG_STD_MIN, LOG_STD_MAX)
+
+
+class NarrowGaussianActor(SquashedGaussianActor):
+    """As `GaussianActor`, with a standard deviation that a tanh keeps inside [e^-5, 1] before squashing.
+
+    log std = -5 + 2.5 ( tanh(output) + 1 ), so it has a slope everywhere (BRAC).
+    """
+
+    network: MLP
+
+    def parameters(
+        self, observations: Float[Array, "rows obs_dim"]
+    ) -> tuple[Float[Array, "rows act_dim"], Float[Array, "rows act_dim"]]:
+        """Mean and log standard deviation of the Gaussian before squashing."""
+        mean, output = jnp.split(self.network(observations), 2, axis=-1)
+        return mean, LOG_STD_MIN - 0.5 * LOG_STD_MIN * (jnp.tanh(output) + 1.0)
+
+
 def draw_actions(
-    actor: GaussianActor, observations: Float[Array, "rows obs_dim"], noise: Float[Array, "draws rows act_dim"]
+    actor: SquashedGaussianActor, observations: Float[Array, "rows obs_dim"], noise: Float[Array, "draws rows act_dim"]
 ) -> tuple[Float[Array, "draws rows act_dim"], Float[Array, "draws rows"]]:
     """Several actions a state and their log-densities, from one pass through the actor."""
     mean, log_std = (jnp.broadcast_to(part[None], noise.shape) for part in actor.parameters(observations))

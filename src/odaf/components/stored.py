@@ -17,7 +17,7 @@ import numpy as np
 
 from odaf.components.critics import CriticEnsemble
 from odaf.components.networks import MLP
-from odaf.components.policies import DeterministicActor, GaussianActor, UnsquashedGaussianActor
+from odaf.components.policies import DeterministicActor, GaussianActor, NarrowGaussianActor, UnsquashedGaussianActor
 from odaf.components.priors import Priors
 from odaf.errors import ConfigError
 
@@ -26,6 +26,7 @@ KINDS: dict[str, type[eqx.Module]] = {
     "deterministic": DeterministicActor,
     "gaussian": GaussianActor,
     "mlp": MLP,
+    "narrow-gaussian": NarrowGaussianActor,
     "priors": Priors,
     "unsquashed-gaussian": UnsquashedGaussianActor,
 }

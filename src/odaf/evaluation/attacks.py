@@ -31,7 +31,7 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray, PyTree
 from odaf.components.critics import CriticEnsemble, disagreement
 from odaf.components.distributions import symmetric_gaussian_divergence
 from odaf.components.perturbations import draw_offsets
-from odaf.components.policies import Actor, GaussianActor
+from odaf.components.policies import Actor, SquashedGaussianActor
 from odaf.errors import ConfigError
 from odaf.training.policy import Policy
 from odaf.training.run_directory import RunDirectory
@@ -128,7 +128,7 @@ class AttackedActor(eqx.Module):
         self, observations: Float[Array, "rows obs_dim"]
     ) -> tuple[Float[Array, "rows act_dim"], Float[Array, "rows act_dim"]]:
         """Mean and log standard deviation before the tanh, for observations in the user's units."""
-        assert isinstance(self.actor, GaussianActor)
+        assert isinstance(self.actor, SquashedGaussianActor)
         return self.actor.parameters(self._normalised(observations))
 
     def mode(self, observations: Float[Array, "rows obs_dim"]) -> Float[Array, "rows act_dim"]:
@@ -172,7 +172,7 @@ def threat_model(policy: Policy, attack: Attack, judge: Judge | None = None) -> 
             f"attack '{attack.name}': looks one step ahead, and the policy of the learner '{learner}' has a memory; "
             "attack it at random"
         )
-    if attack.objective == "action-diff" and not isinstance(policy.actor, GaussianActor):
+    if attack.objective == "action-diff" and not isinstance(policy.actor, SquashedGaussianActor):
         raise ConfigError(
             f"attack '{attack.name}': needs a Gaussian policy, and that of the learner '{learner}' is not; "
             "attack it by min-q with the critics of another run (--attacker DIR), or at random"
