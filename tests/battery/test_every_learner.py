@@ -20,6 +20,7 @@ from odaf.algorithms.registry import ALGORITHMS, TERMS
 from odaf.cli.options import field_help, settings_of
 from odaf.data.normalisation import Normaliser
 from odaf.data.sampling import WeightedColumns, training_column_shapes, training_columns
+from odaf.errors import ConfigError
 from odaf.training import loop
 from odaf.training.monitors import DivergenceMonitor
 from odaf.training.run_directory import blank_state
@@ -146,11 +147,23 @@ def test_a_run_resumes_to_the_bit_and_its_policy_is_saved_and_loaded(kind, tmp_p
 
 @each_learner
 def test_rows_drawn_by_return_train_the_same_bits_however_it_is_cut(kind):
-    learner = dataclasses.replace(learners.of_kind(kind), sampling="return", return_temperature=0.5)
+    """Where critics can draw apart, they do: until the actor has stepped they are those of a run on all rows alike."""
+    plain = learners.of_kind(kind)
+    apart = "uniform" if plain.draws_apart else "same"
+    learner = dataclasses.replace(plain, sampling="return", return_temperature=0.5, critic_sampling=apart)
     assert isinstance(_columns(learner), WeightedColumns)
     whole, _ = _train(learner, 3, _first(learner, 3), 0, 4)
     cut, _ = _train(learner, 3, loop.donatable(_train(learner, 3, _first(learner, 3), 0, 2)[0]), 2, 4)
     tiny.assert_same_bits(whole, cut)
+    if not plain.draws_apart:
+        with pytest.raises(ConfigError, match=f"critic_sampling='uniform': {kind} learns all it learns from one batch"):
+            dataclasses.replace(learner, critic_sampling="uniform").drawn_view()
+        return
+    first = [_train(each, 3, _first(each, 3), 0, 1)[0] for each in (learner, plain)]
+    for ours, theirs in zip(*(jax.tree.leaves(learner.values(state)) for state in first), strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-5, atol=1e-7)
+    actors = [jax.tree.leaves(learner.actor(state)) for state in (whole, _trained(kind)[0])]
+    assert any(float(jnp.abs(ours - theirs).max()) > 1e-5 for ours, theirs in zip(*actors, strict=True))
 
 
 @each_learner

@@ -10,7 +10,7 @@ from scipy import stats
 from odaf.algorithms.numbers import changed
 from odaf.data import Dataset, Normaliser, Transitions, sample, training_columns
 from odaf.data.mixture import Mixture
-from odaf.data.row_choice import RowChoice, chosen_episodes, effective_rows, episode_weights
+from odaf.data.row_choice import RowChoice, chosen_episodes, effective_rows, episode_merits, episode_weights
 from odaf.data.sampling import Slab, WeightedColumns, row_weights, training_column_shapes
 from odaf.data.view import View
 from odaf.errors import ConfigError, DatasetError
@@ -76,6 +76,53 @@ def test_weights_by_return_are_those_of_the_formula():
     assert effective_rows(np.array([3.0, 1.0])) == pytest.approx(1.6)
 
 
+def starting_at(starts, returns) -> Dataset:
+    """Episodes of two rows each, from these first observations on."""
+    starts = np.asarray(starts, np.float32)
+    rows = np.repeat(starts, 2, axis=0)
+    rows[1::2] = -77.0
+    ends = np.arange(len(rows)) % 2 == 1
+    return Dataset.from_arrays(
+        rows, np.zeros((len(rows), 1)), np.repeat(np.divide(returns, 2), 2), rows, truncated=ends,
+        action_bounds=(-1.0, 1.0),
+    )  # fmt: skip
+
+
+BY_ADVANTAGE = RowChoice(sampling="advantage", return_temperature=0.5)
+
+
+def test_weights_by_advantage_forgive_a_bad_start():
+    """Returns are 10 x + e over starts x: by return the far starts win, by advantage those of e = 1, wherever."""
+    x = np.linspace(-2.0, 2.0, 40)
+    bonus = np.tile([0.0, 1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], 5)
+    dataset = starting_at(np.stack([x, np.ones(40)], axis=1), 10.0 * x + bonus)
+    slope, base = np.polyfit(x, 10.0 * x + bonus, 1)
+    merits = 10.0 * x + bonus - slope * x - base
+    np.testing.assert_allclose(
+        episode_merits(dataset, BY_ADVANTAGE), merits, atol=5e-3
+    )  # the ridge moves them a little
+    expected = np.exp((merits - merits.max()) / np.ptp(merits) / 0.5)
+    np.testing.assert_allclose(row_weights(dataset, View(choice=BY_ADVANTAGE)), np.repeat(expected, 2), rtol=2e-2)
+    assert expected[bonus == 1.0].min() > expected[bonus == 0.0].max()
+    by_return = row_weights(dataset, View(choice=BY_RETURN))
+    assert by_return[-1] > by_return[2 * 4]  # the last has no bonus and the best start
+
+
+def test_returns_that_the_start_says_wholly_draw_all_alike():
+    x = np.linspace(-3.0, 5.0, 30)
+    dataset = starting_at(x[:, None], 2.0 * x - 1.0)
+    np.testing.assert_array_equal(row_weights(dataset, View(choice=BY_ADVANTAGE)), 1.0)
+
+
+@pytest.mark.parametrize("columns", [3, 60])
+def test_starts_that_say_nothing_leave_the_weights_by_return(columns):
+    """Of twelve episodes least squares with 60 columns would explain every return, and no row would be preferred."""
+    rng = np.random.default_rng(0)
+    dataset = starting_at(rng.normal(size=(12, columns)), rng.normal(size=12))
+    by_return, by_advantage = (row_weights(dataset, View(choice=choice)) for choice in (BY_RETURN, BY_ADVANTAGE))
+    np.testing.assert_allclose(by_advantage, by_return, rtol=1e-12)
+
+
 @pytest.mark.parametrize("returns", [[4.0], [2.0, 2.0, 2.0], [-1e30, -1e30]])
 def test_equal_returns_and_a_single_episode_draw_all_alike(returns):
     lengths = [4] * len(returns)
@@ -112,6 +159,45 @@ def test_rows_without_a_successor_so_many_steps_later_are_never_drawn(choice):
         assert len(row_weights(dataset, View(3, 0.9, choice=choice))) == 9
 
 
+APART = {
+    "return": RowChoice(sampling="return", return_temperature=0.5, critic_sampling="uniform"),
+    "best": RowChoice(sampling="best", best_share=0.3, critic_sampling="uniform"),
+}
+
+
+@pytest.mark.parametrize("sampling", APART)
+def test_critics_that_draw_apart_have_the_rows_of_a_uniform_run_and_the_actor_those_chosen(sampling):
+    """The actor's rows by chi-square, as above, at 30,000 draws; a row of weight 0 never comes."""
+    dataset = log([-5.0, 0.0, 3.0, 5.0, 4.0], [5, 20, 10, 15, 10])
+    columns = columns_of(dataset, APART[sampling])
+    shapes = training_column_shapes(dataset, View(choice=APART[sampling]))
+    assert jax.tree.structure(columns) == jax.tree.structure(shapes)
+    batch = jax.jit(lambda key: sample(columns, key, 30_000))(jr.key(2))
+    np.testing.assert_array_equal(rows_of(batch), rows_of(sample(columns_of(dataset, RowChoice()), jr.key(2), 30_000)))
+    assert batch.actor is not None and batch.for_actor is batch.actor
+    rows, weights = rows_of(batch.actor), row_weights(dataset, View(choice=APART[sampling]))
+    assert set(rows.tolist()) == set(np.flatnonzero(weights))
+    if sampling == "best":
+        np.testing.assert_array_equal(weights, np.repeat([0.0, 0.0, 0.0, 1.0, 1.0], [5, 20, 10, 15, 10]))
+    seen = weights > 0
+    expected = (weights / weights.sum() * len(rows))[seen]
+    statistic = float((np.square(np.bincount(rows, minlength=60)[seen] - expected) / expected).sum())
+    assert 1e-6 < stats.chi2.sf(statistic, seen.sum() - 1) < 1 - 1e-6
+    assert np.corrcoef(rows, rows_of(batch))[0, 1] < 0.05  # of a draw of their own
+    assert isinstance(columns, WeightedColumns)
+    slab = Slab(jax.tree.map(lambda leaf: jnp.concatenate([leaf, leaf]), columns), jnp.asarray(60), jnp.asarray(60))
+    again = sample(slab, jr.key(2), 64)
+    alone = sample(columns, jr.key(2), 64)
+    for ours, theirs in zip(jax.tree.leaves(again), jax.tree.leaves(alone), strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+
+
+def test_best_episodes_without_so_many_steps_are_refused_beside_critics_that_have_them():
+    dataset = log([9.0, 1.0], [2, 8])
+    with pytest.raises(DatasetError, match="return_steps=3: none of the best episodes has so many steps"):
+        columns_of(dataset, RowChoice(sampling="best", critic_sampling="uniform"), return_steps=3, discount=0.9)
+
+
 def test_a_set_behind_another_is_drawn_from_as_if_it_were_alone():
     sets = [log([1.0, 3.0], [4, 5]), log([7.0, 2.0, 4.0], [3, 2, 6])]
     alone = [columns_of(dataset, BY_RETURN) for dataset in sets]
@@ -133,7 +219,7 @@ def test_uniform_rows_are_the_draws_that_they_were():
     np.testing.assert_array_equal(rows_of(sample(columns, jr.key(11), 32)), rows)
 
 
-@pytest.mark.parametrize("sampling", ["return", "best"])
+@pytest.mark.parametrize("sampling", ["return", "advantage", "best"])
 def test_returns_that_are_no_numbers_and_mixed_batches_are_refused(sampling):
     choice = RowChoice(sampling=sampling)
     returns = np.array([1.0, np.nan, np.inf])
@@ -154,7 +240,9 @@ def test_returns_that_are_no_numbers_and_mixed_batches_are_refused(sampling):
         ({"sampling": "return", "return_temperature": float("nan")}, "return_temperature=nan must be positive"),
         ({"sampling": "best", "best_share": 0.0}, r"best_share=0.0 must lie in \(0, 1\]"),
         ({"sampling": "best", "best_share": 1.5}, "best_share=1.5"),
+        ({"sampling": "advantage", "return_temperature": -1.0}, "return_temperature=-1.0 must be positive"),
         ({"sampling": "worst"}, "sampling='worst' is not known"),
+        ({"sampling": "best", "critic_sampling": "best"}, "critic_sampling='best' is not known"),
     ],
 )
 def test_settings_out_of_range_are_refused(fields, match):
@@ -164,5 +252,6 @@ def test_settings_out_of_range_are_refused(fields, match):
 
 def test_numbers_that_do_nothing_tell_no_two_choices_apart():
     assert RowChoice(best_share=0.3, return_temperature=9.0).row_choice() == RowChoice()
+    assert RowChoice(critic_sampling="uniform").row_choice() == RowChoice()
     assert RowChoice(sampling="best", return_temperature=9.0).row_choice() == RowChoice(sampling="best")
     assert RowChoice(sampling="return", best_share=0.3).row_choice() == RowChoice(sampling="return")

@@ -40,6 +40,14 @@ def test_a_method_is_its_learner_and_its_terms():
     assert keys("diversity") == {"term diversity": ["an2021edac"]}
 
 
+def test_rows_that_are_not_drawn_all_alike_are_cited(tmp_path):
+    run = scored_run(tmp_path / "run", {}, "mine", terms=[], num_critics=4, sampling="advantage")
+    by = "rows drawn by sampling='advantage'"
+    assert keys(str(run)) == {"learner ensemble-sac": ["an2021edac"], by: ["hong2023harnessing", "hong2023beyond"]}
+    assert keys("behaviour-cloning-best")["rows drawn by sampling='best'"] == ["chen2021decision"]
+    assert list(keys("behaviour-cloning")) == ["learner behaviour-cloning"]
+
+
 @pytest.mark.parametrize("name", presets.names())
 def test_every_preset_has_papers(name):
     assert all(keys(name).values())

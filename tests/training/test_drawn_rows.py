@@ -10,8 +10,11 @@ import odaf
 from battery import learners
 from golden import tiny as golden
 from odaf.algorithms.behaviour_cloning import BehaviourCloning
+from odaf.algorithms.td3_bc import TD3BC
+from odaf.data.start_values import start_values
 from odaf.errors import ConfigError
 from odaf.runs.many import Plan, fit_many
+from odaf.training.drawn_rows import drawn_rows, in_words
 
 SETTINGS = {"stretch": 2, "checkpoint_every": 2, "progress": False}
 SMALL = {"hidden_sizes": (4,), "batch_size": 2}
@@ -23,7 +26,12 @@ def dataset():
 
 
 @pytest.mark.parametrize(
-    "choice", [{"sampling": "return", "return_temperature": 0.5}, {"sampling": "best", "best_share": 0.4}]
+    "choice",
+    [
+        {"sampling": "return", "return_temperature": 0.5},
+        {"sampling": "advantage", "return_temperature": 0.5},
+        {"sampling": "best", "best_share": 0.4},
+    ],
 )
 def test_a_run_records_its_rows_and_is_gone_on_with_to_the_bit(dataset, tmp_path, choice):
     learner = BehaviourCloning(**SMALL, **choice)
@@ -38,6 +46,13 @@ def test_a_run_records_its_rows_and_is_gone_on_with_to_the_bit(dataset, tmp_path
             "sampling": "best", "episodes": 4, "rows": 32, "effective_rows": 32.0, "log_rows": 64,
             "lowest_return": pytest.approx(best),
         }  # fmt: skip
+    elif choice["sampling"] == "advantage":
+        value = start_values(returns, dataset.observations[dataset.episode_starts])
+        assert 0.0 <= drawn["explained_by_start"] == value.explained < 1.0
+        merits = returns - value.values
+        weights = np.exp((merits - merits.max()) / np.ptp(merits) / 0.5)
+        assert drawn["effective_rows"] == pytest.approx(8 * weights.sum() ** 2 / np.square(weights).sum())
+        assert drawn["rows"] == 64 and drawn["sampling"] == "advantage"
     else:
         weights = np.exp((returns - returns.max()) / (returns.max() - returns.min()) / 0.5)
         effective = 8 * weights.sum() ** 2 / np.square(weights).sum()
@@ -58,6 +73,11 @@ def test_a_run_of_rows_all_alike_records_nothing_more(dataset, tmp_path):
             r"best_share=0.1 of the rows: .* 8 effective rows of 64, fewer than 10 batches of 2; raise",
         ),
         ({"sampling": "return", "return_temperature": 1e-3}, "return_temperature=0.001: .* 8 effective rows of 64"),
+        (
+            {"sampling": "advantage", "return_temperature": 1e-3},
+            "sampling='advantage', return_temperature=0.001: .* 8 effective rows of 64",
+        ),
+        ({"sampling": "best", "critic_sampling": "uniform"}, "behaviour-cloning learns all it learns from one batch"),
     ],
 )
 def test_too_few_rows_are_refused_before_a_directory_is_claimed(dataset, tmp_path, choice, match):
@@ -80,3 +100,20 @@ def test_lanes_with_numbers_of_their_own_are_their_runs_alone(dataset, tmp_path,
         pairs = zip(*(jax.tree.leaves(each.files.state(0).actor.now) for each in (run, alone)), strict=True)
         for ours, theirs in pairs:
             np.testing.assert_allclose(ours, theirs, rtol=1e-5, atol=1e-7)
+
+
+def test_critics_beside_are_recorded_and_every_choice_is_told_in_words(dataset):
+    def told(**choice):
+        found = drawn_rows(TD3BC(**SMALL, **choice), dataset)["drawn"]
+        return found, in_words(found)
+
+    best, words = told(sampling="best", best_share=0.4, critic_sampling="uniform")
+    assert (best["rows"], best["log_rows"], best["effective_rows"]) == (32, 64, 32.0)
+    assert best["critic_sampling"] == "uniform"
+    assert words.startswith("the actor's batches are drawn from the 32 rows of the 4 best episodes (return at least")
+    assert words.endswith("; those of the critics from all rows alike")
+    found, words = told(sampling="advantage", return_temperature=0.5)
+    assert words.startswith("batches are drawn by return ") and words.endswith(" rows of 64")
+    assert "critic_sampling" not in found
+    assert "less what its start foretells (37% of the variance)" in in_words(found | {"explained_by_start": 0.37})
+    assert "by return (its start foretells none): as" in in_words(found | {"explained_by_start": 0.0})

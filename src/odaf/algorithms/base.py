@@ -18,6 +18,7 @@ from odaf.data.sampling import Columns, sample
 from odaf.data.spec import Spec
 from odaf.data.transitions import Transitions
 from odaf.data.view import View
+from odaf.errors import ConfigError
 
 Metrics = dict[str, Float[Array, ""]]
 PretrainProgress = Callable[[str, int, int], None]
@@ -47,6 +48,8 @@ class Algorithm(RowChoice, abc.ABC, Generic[State]):
 
     kind: ClassVar[str]
     structural: ClassVar[frozenset[str]] = frozenset()
+    draws_apart: ClassVar[bool] = False
+    """Whether `update` trains the actor on `batch.for_actor` and all else on `batch`, which critic_sampling needs."""
     refresh_every: int = 0
     """Updates between two calls of `refresh`, the first one before the first update; 0 never calls it."""
     batch_size: int
@@ -60,8 +63,18 @@ class Algorithm(RowChoice, abc.ABC, Generic[State]):
         return View()
 
     def drawn_view(self) -> View:
-        """`view`, and how its rows are drawn: what the columns that batches come from are built by."""
-        return dataclasses.replace(self.view(), choice=self.row_choice())
+        """`view`, and how its rows are drawn: what the columns that batches come from are built by.
+
+        Raises:
+            ConfigError: a setting is out of its range, or critics are to draw apart in a learner that cannot do it.
+        """
+        choice = self.row_choice()
+        if choice.critic_sampling == "uniform" and not self.draws_apart:
+            raise ConfigError(
+                f"critic_sampling='uniform': {self.kind} learns all it learns from one batch; take "
+                "critic_sampling='same', or a learner whose critics can draw apart, such as td3-bc or iql"
+            )
+        return dataclasses.replace(self.view(), choice=choice)
 
     def untrained(self, key: PRNGKeyArray, spec: Spec) -> PyTree:
         """Models before pre-training, in the structure that `pretrain` returns; () when there are none."""

@@ -149,6 +149,50 @@ CLONING = Citation(
     1988,
     _NEURIPS,
 )
+TRAJECTORY_WEIGHTING = Citation(
+    "hong2023harnessing",
+    ("Zhang-Wei Hong", "Pulkit Agrawal", "Rémi Tachet des Combes", "Romain Laroche"),
+    "Harnessing Mixed Offline Reinforcement Learning Datasets via Trajectory Weighting",
+    2023,
+    "International Conference on Learning Representations",
+    "2306.13085",
+)
+IMBALANCED_DATASETS = Citation(
+    "hong2023beyond",
+    (
+        "Zhang-Wei Hong",
+        "Aviral Kumar",
+        "Sathwik Karnik",
+        "Abhishek Bhandwaldar",
+        "Akash Srivastava",
+        "Joni Pajarinen",
+        "Romain Laroche",
+        "Abhishek Gupta",
+        "Pulkit Agrawal",
+    ),
+    "Beyond Uniform Sampling: Offline Reinforcement Learning with Imbalanced Datasets",
+    2023,
+    _NEURIPS,
+    "2310.04413",
+)
+DECISION_TRANSFORMER = Citation(
+    "chen2021decision",
+    (
+        "Lili Chen",
+        "Kevin Lu",
+        "Aravind Rajeswaran",
+        "Kimin Lee",
+        "Aditya Grover",
+        "Michael Laskin",
+        "Pieter Abbeel",
+        "Aravind Srinivas",
+        "Igor Mordatch",
+    ),
+    "Decision Transformer: Reinforcement Learning via Sequence Modeling",
+    2021,
+    _NEURIPS,
+    "2106.01345",
+)
 PRIORS = Citation(
     "osband2018priors",
     ("Ian Osband", "John Aslanides", "Albin Cassirer"),

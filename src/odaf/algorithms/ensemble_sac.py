@@ -59,6 +59,7 @@ class EnsembleSAC(EnsembleSettings):
     """Ensemble soft actor-critic plus terms."""
 
     kind: ClassVar[str] = "ensemble-sac"
+    draws_apart: ClassVar[bool] = True
 
     def citations(self) -> tuple[citations.Citation, ...]:
         """SAC-N, or SAC itself where there are two critics; randomised priors where there are any."""
@@ -238,7 +239,7 @@ class EnsembleSAC(EnsembleSettings):
         """Actor, temperature and critics step from the same old parameters; then the slow copies move."""
         key_actor, key_critic = jr.split(key)
         actor_gradient, (log_density, actor_metrics) = eqx.filter_grad(self.actor_loss, has_aux=True)(
-            state.actor.now, state, batch, key_actor
+            state.actor.now, state, batch.for_actor, key_actor
         )
         critic_gradient, critic_metrics = self.critic_gradient(state, batch, key_critic)
         temperature_gradient = jax.grad(temperature_loss)(state.log_temperature.now, log_density, state.target_entropy)

@@ -79,12 +79,23 @@ def actor_loss(actor: Actor, batch: Transitions, weights: Float[Array, " rows"])
     return jnp.mean(jax.lax.stop_gradient(weights) * misfit)
 
 
+def _cut(batch: Transitions) -> Transitions:
+    return dataclasses.replace(batch, actions=jnp.clip(batch.actions, -LARGEST_ACTION, LARGEST_ACTION))
+
+
+def _lowest(state: IQLState, batch: Transitions) -> Float[Array, " rows"]:
+    """min_k Q'_k(s, a)."""
+    assert state.critics.slow is not None
+    return jnp.min(CriticEnsemble(state.critics.slow)(batch.observations, batch.actions), axis=0)
+
+
 @dataclasses.dataclass(frozen=True)
 class IQL(Algorithm[IQLState]):
     """Implicit Q-learning: an expectile of the logged actions' values, and cloning of the actions above it."""
 
     kind: ClassVar[str] = "iql"
     structural: ClassVar[frozenset[str]] = frozenset({"normaliser_epsilon"})
+    draws_apart: ClassVar[bool] = True
 
     hidden_sizes: tuple[int, ...] = (256, 256)
     """Widths of the hidden layers of actor, V and critics."""
@@ -183,16 +194,16 @@ class IQL(Algorithm[IQLState]):
     def update(self, state: IQLState, batch: Transitions, key: PRNGKeyArray) -> tuple[IQLState, Metrics]:
         """A step of V, of the actor by the new V, of the critics by the new V; then their slow copies follow."""
         del key
-        assert state.critics.slow is not None
-        batch = dataclasses.replace(batch, actions=jnp.clip(batch.actions, -LARGEST_ACTION, LARGEST_ACTION))
-        lowest = jnp.min(CriticEnsemble(state.critics.slow)(batch.observations, batch.actions), axis=0)
+        is_apart = batch.actor is not None
+        own, batch = _cut(batch.for_actor), _cut(batch)
+        lowest = _lowest(state, batch)
 
         loss_v, slope = jax.value_and_grad(value_loss)(state.value.now, batch.observations, lowest, self.expectile)
         value = state.value.stepped(slope, self.learning_rate)
 
-        advantages = lowest - value.now(batch.observations)[:, 0]
+        advantages = (_lowest(state, own) if is_apart else lowest) - value.now(own.observations)[:, 0]
         weights = cloning_weights(advantages, self.inverse_temperature, self.weight_cap)
-        loss_pi, slope = jax.value_and_grad(actor_loss)(state.actor.now, batch, weights)
+        loss_pi, slope = jax.value_and_grad(actor_loss)(state.actor.now, own, weights)
         actor = state.actor.stepped(slope, self.actor_rate(state.step))
 
         rewards = state.reward_scale * (batch.rewards + self.reward_shift)

@@ -63,6 +63,7 @@ class ReBRAC(TwinDelayed):
 
     kind: ClassVar[str] = "rebrac"
     not_negative: ClassVar[tuple[str, ...]] = ("actor_penalty", "critic_penalty")
+    draws_apart: ClassVar[bool] = True
 
     hidden_sizes: tuple[int, ...] = (256, 256, 256)
     """Widths of the hidden layers of actor and critics."""
@@ -119,7 +120,7 @@ class ReBRAC(TwinDelayed):
             state,
             batch,
             self.target(state, batch, key),
-            lambda actor, critics: actor_loss(actor, critics, batch, self.actor_penalty),
+            lambda actor, critics: actor_loss(actor, critics, batch.for_actor, self.actor_penalty),
             actor_rate=self.actor_learning_rate,
             critic_rate=self.critic_learning_rate,
         )

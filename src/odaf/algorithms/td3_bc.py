@@ -48,6 +48,7 @@ class TD3BC(TwinDelayed):
 
     kind: ClassVar[str] = "td3-bc"
     not_negative: ClassVar[tuple[str, ...]] = ("value_weight",)
+    draws_apart: ClassVar[bool] = True
 
     value_weight: float = 2.5
     """alpha, the weight of the value against cloning, in units of the mean size of the values."""
@@ -81,7 +82,7 @@ class TD3BC(TwinDelayed):
             state,
             batch,
             self.target(state, batch, key),
-            lambda actor, critics: actor_loss(actor, critics, batch, self.value_weight),
+            lambda actor, critics: actor_loss(actor, critics, batch.for_actor, self.value_weight),
             actor_rate=self.learning_rate,
             critic_rate=self.learning_rate,
         )

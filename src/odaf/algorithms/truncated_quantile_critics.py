@@ -126,6 +126,7 @@ class TruncatedQuantileCritics(Algorithm[TQCState]):
     """Soft actor-critic with truncated quantile critics; the trainer of our behaviour policies."""
 
     kind: ClassVar[str] = "truncated-quantile-critics"
+    draws_apart: ClassVar[bool] = True
 
     num_critics: int = 2
     """N, the number of critics."""
@@ -217,7 +218,7 @@ class TruncatedQuantileCritics(Algorithm[TQCState]):
         """Actor, temperature and critics step from the same old parameters; then the target critics move."""
         key_actor, key_critic = jr.split(key)
         (loss, log_density), actor_gradient = eqx.filter_value_and_grad(self.actor_loss, has_aux=True)(
-            state.actor.now, state, batch, key_actor
+            state.actor.now, state, batch.for_actor, key_actor
         )
         critic_gradient, metrics = self.critic_gradient(state, batch, key_critic)
         target_entropy = float(-batch.actions.shape[1]) if self.target_entropy is None else self.target_entropy

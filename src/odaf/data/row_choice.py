@@ -1,7 +1,8 @@
 """Which rows of a log a learner's batches are drawn from, and how often: all alike, or the better episodes more often.
 
 Most rows of a poor log come from poor episodes. Any learner sees more of the good ones if rows are drawn by the return
-of their episode (Hong et al. 2023) or from the best episodes alone. Losses stay what they are.
+of their episode, or by its return less what its start foretells (Hong et al. 2023), or from the best episodes alone.
+Losses stay what they are.
 """
 
 import math
@@ -12,6 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from odaf.data.dataset import Dataset
+from odaf.data.start_values import start_values
 from odaf.errors import ConfigError, DatasetError
 
 
@@ -19,16 +21,20 @@ from odaf.errors import ConfigError, DatasetError
 class RowChoice:
     """How the rows of batches are chosen; every learner has these settings."""
 
-    sampling: Literal["uniform", "return", "best"] = "uniform"
+    sampling: Literal["uniform", "return", "advantage", "best"] = "uniform"
     """Rows that batches hold: "uniform" all alike; "return" by exp(return of the row's episode, scaled to [0, 1] over
-    the log, / return_temperature); "best" only those of the best episodes."""
+    the log, / return_temperature); "advantage" the same with the return less what a linear regression on the episode's
+    first observation foretells of it, so that a bad start is forgiven; "best" only those of the best episodes."""
     return_temperature: float = 0.1
-    """Of sampling="return": the lower, the more the best episodes are preferred; in the share of the range of returns
-    that makes a row e times as likely."""
+    """Of sampling="return" and "advantage": the lower, the more the best episodes are preferred; in the share of the
+    range of returns that makes a row e times as likely."""
     best_share: float = 0.1
     """Of sampling="best": episodes are taken whole, by return from the best down, until they hold this share."""
     best_of: Literal["rows", "episodes"] = "rows"
     """What best_share is a share of: the rows of the log, or its episodes."""
+    critic_sampling: Literal["same", "uniform"] = "same"
+    """Rows that critics learn from: those of `sampling`, or "uniform" all alike beside an actor that learns from those
+    of `sampling`, so that critics see what is bad."""
 
     def row_choice(self) -> "RowChoice":
         """These settings alone, without those that do nothing, in their range.
@@ -36,23 +42,38 @@ class RowChoice:
         Raises:
             ConfigError: a number lies outside its range.
         """
-        if self.sampling == "return":
+        if self.sampling == "uniform":
+            return UNIFORM
+        if self.critic_sampling not in ("same", "uniform"):
+            raise ConfigError(f"critic_sampling={self.critic_sampling!r} is not known; known are 'same', 'uniform'")
+        if self.sampling in ("return", "advantage"):
             if not 0.0 < self.return_temperature < math.inf:
                 raise ConfigError(
                     f"return_temperature={self.return_temperature} must be positive; a very large one is "
                     "sampling='uniform'"
                 )
-            return RowChoice(sampling="return", return_temperature=self.return_temperature)
+            return RowChoice(
+                sampling=self.sampling,
+                return_temperature=self.return_temperature,
+                critic_sampling=self.critic_sampling,
+            )
         if self.sampling == "best":
             if not 0.0 < self.best_share <= 1.0:
                 raise ConfigError(f"best_share={self.best_share} must lie in (0, 1]: the share that is learned from")
-            return RowChoice(sampling="best", best_share=self.best_share, best_of=self.best_of)
-        if self.sampling != "uniform":
-            raise ConfigError(f"sampling={self.sampling!r} is not known; known are 'uniform', 'return', 'best'")
-        return UNIFORM
+            return RowChoice(
+                sampling="best",
+                best_share=self.best_share,
+                best_of=self.best_of,
+                critic_sampling=self.critic_sampling,
+            )
+        raise ConfigError(
+            f"sampling={self.sampling!r} is not known; known are 'uniform', 'return', 'advantage', 'best'"
+        )
 
 
 UNIFORM = RowChoice()
+ROUNDING = 1e-6
+"""Share of the range of returns below which advantages are taken for rounding of single precision."""
 
 
 def chosen_episodes(
@@ -67,13 +88,25 @@ def chosen_episodes(
     return np.sort(ranked[: int(np.searchsorted(np.cumsum(sizes), wanted)) + 1])
 
 
-def episode_weights(returns: Float[np.ndarray, " episodes"], choice: RowChoice) -> Float[np.ndarray, " episodes"]:
-    """The weight of each row by its episode: 1 in the best episode; all 1 where returns are equal."""
-    returns = _finite(returns)
-    low, high = returns.min(), returns.max()
-    if choice.sampling != "return" or low == high:
-        return np.ones(len(returns))
-    return np.exp((returns - high) / (high - low) / choice.return_temperature)
+def episode_merits(dataset: Dataset, choice: RowChoice) -> Float[np.ndarray, " episodes"]:
+    """What episodes are compared by: their returns, or with sampling="advantage" G - V(s_0) of `start_values`.
+
+    Advantages that are only what rounding left of the returns are all 0: then a start says the whole return.
+    """
+    returns = dataset.episode_returns()
+    if choice.sampling != "advantage":
+        return returns
+    merits = _finite(returns) - start_values(returns, dataset.observations[dataset.episode_starts]).values
+    return merits if np.ptp(merits) > ROUNDING * np.ptp(returns) else np.zeros(len(returns))
+
+
+def episode_weights(merits: Float[np.ndarray, " episodes"], choice: RowChoice) -> Float[np.ndarray, " episodes"]:
+    """The weight of each row by its episode's merit: 1 in the best episode; all 1 where merits are equal."""
+    merits = _finite(merits)
+    low, high = merits.min(), merits.max()
+    if choice.sampling not in ("return", "advantage") or low == high:
+        return np.ones(len(merits))
+    return np.exp((merits - high) / (high - low) / choice.return_temperature)
 
 
 def effective_rows(weights: Float[np.ndarray, " rows"]) -> float:
@@ -81,8 +114,13 @@ def effective_rows(weights: Float[np.ndarray, " rows"]) -> float:
     return float(weights.sum() ** 2 / np.square(weights).sum())
 
 
+def has_table(choice: RowChoice) -> bool:
+    """Whether rows are drawn by a table of weights, instead of all alike from those that there are."""
+    return choice.sampling in ("return", "advantage") or choice.critic_sampling == "uniform"
+
+
 def drawn_from(dataset: Dataset, choice: RowChoice) -> Dataset:
-    """The episodes that rows are drawn from; the data set itself where these are all.
+    """The episodes that rows are drawn from, by critics at least; the data set itself where these are all.
 
     Raises:
         ConfigError: the data say themselves how batches are drawn.
@@ -92,7 +130,7 @@ def drawn_from(dataset: Dataset, choice: RowChoice) -> Dataset:
             f"sampling={choice.sampling!r}: the data are mixed per batch, which says already how rows are drawn; take "
             "sampling='uniform', or mix without --per-batch (odaf.data.mixing.mix in Python)"
         )
-    if choice.sampling != "best":
+    if choice.sampling != "best" or choice.critic_sampling == "uniform":
         return dataset
     return dataset.select(chosen_episodes(dataset.episode_returns(), dataset.episode_lengths(), choice))
 

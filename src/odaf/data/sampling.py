@@ -15,7 +15,7 @@ from odaf.data.dataset import Dataset
 from odaf.data.mixing_batches import MixedColumns, sample_mixed
 from odaf.data.normalisation import Normaliser, scale_actions
 from odaf.data.returns_to_go import returns_to_go
-from odaf.data.row_choice import drawn_from, episode_weights
+from odaf.data.row_choice import chosen_episodes, drawn_from, episode_merits, episode_weights, has_table
 from odaf.data.transitions import Transitions
 from odaf.data.view import Extra, View
 from odaf.errors import DatasetError
@@ -27,6 +27,7 @@ class WeightedColumns(eqx.Module):
     columns: Transitions
     kept: UInt32[Array, " rows"]  # of `alias_table`
     alias: Int[Array, " rows"]
+    apart: bool = eqx.field(static=True, default=False)  # the table is for the actor; critics draw all rows alike
 
     @property
     def rewards(self) -> Float[Array, " rows"]:
@@ -42,6 +43,8 @@ class Slab(eqx.Module):
     rows: Int[Array, ""]  # and how many it has
 
 
+# What an update's key is folded with for the rows of an actor that draws apart.
+_ACTOR = 1
 # What training draws its batches from.
 Columns = Transitions | MixedColumns | WeightedColumns | Slab
 
@@ -56,11 +59,11 @@ def training_columns(dataset: Dataset, normaliser: Normaliser, view: View = View
     """
     dataset = drawn_from(dataset, view.choice)
     columns = _with_mixture(device_columns(dataset, normaliser, view), dataset, view.return_steps)
-    if view.choice.sampling != "return":
+    if not has_table(view.choice):
         return columns
     assert isinstance(columns, Transitions)  # `drawn_from` refuses mixtures
     kept, alias = alias_table(units_of(row_weights(dataset, view)))
-    return WeightedColumns(columns, _on_device(kept), _on_device(alias))
+    return WeightedColumns(columns, _on_device(kept), _on_device(alias), view.choice.critic_sampling == "uniform")
 
 
 def training_column_shapes(dataset: Dataset, view: View = View()) -> Columns:
@@ -73,23 +76,39 @@ def training_column_shapes(dataset: Dataset, view: View = View()) -> Columns:
         state, action, number = (jnp.zeros(shape) for shape in ((rows, states), (rows, actions), (rows,)))
         extras = {name: action if name == "next_actions" else number for name in view.extras}
         found = Transitions(state, action, number, state, number, extras)
-        if view.choice.sampling != "return":
+        if not has_table(view.choice):
             return found
-        return WeightedColumns(found, number.astype(jnp.uint32), number.astype(jnp.int32))
+        apart = view.choice.critic_sampling == "uniform"
+        return WeightedColumns(found, number.astype(jnp.uint32), number.astype(jnp.int32), apart)
 
     return _with_mixture(jax.eval_shape(columns), dataset, view.return_steps)
 
 
 def row_weights(dataset: Dataset, view: View) -> Float[np.ndarray, " kept"]:
-    """How likely each row is that batches may hold, as a multiple of a row of the best episode.
+    """How likely each row is that batches may hold (the actor's, where critics draw from others), as a multiple of a
+    row of the best episode.
 
     Raises:
-        DatasetError: no episode has so many steps, or returns are no finite numbers.
+        DatasetError: no episode that is drawn from has so many steps, or returns are no finite numbers.
         ConfigError: rows are chosen from data that are mixed per batch.
     """
-    dataset = drawn_from(dataset, view.choice)
-    weights = np.repeat(episode_weights(dataset.episode_returns(), view.choice), dataset.episode_lengths())
-    return weights if view.return_steps == 1 else weights[_n_step_rows(dataset, view.return_steps)[1]]
+    choice = view.choice
+    dataset = drawn_from(dataset, choice)
+    merits = episode_merits(dataset, choice)
+    weights = episode_weights(merits, choice)
+    lengths = dataset.episode_lengths()
+    if choice.sampling == "best" and choice.critic_sampling == "uniform":
+        weights[np.setdiff1d(np.arange(len(merits)), chosen_episodes(merits, lengths, choice))] = 0.0
+    weights = np.repeat(weights, lengths)
+    if view.return_steps == 1:
+        return weights
+    weights = weights[_n_step_rows(dataset, view.return_steps)[1]]
+    if not weights.any():
+        raise DatasetError(
+            f"return_steps={view.return_steps}: none of the best episodes has so many steps; choose fewer, or raise "
+            "best_share"
+        )
+    return weights
 
 
 def _with_mixture(columns: Any, dataset: Dataset, return_steps: int) -> Columns:
@@ -196,22 +215,31 @@ def _n_step_rows(dataset: Dataset, steps: int) -> tuple[np.ndarray, np.ndarray]:
 def sample(columns: Columns, key: PRNGKeyArray | Array, batch_size: int) -> Transitions:
     """Draws `batch_size` rows with replacement: all alike, by weight, or by part of a mixture (`sample_mixed`).
 
+    Where critics draw apart, these are their rows, those of sampling="uniform", and the actor's are in `actor`.
+
     Usable inside `jit`, `scan` and `vmap`.
 
     The rows are a function of `key` alone, so a resumed run that carries its key draws what an unbroken one would.
     """
     if isinstance(columns, MixedColumns):
         return sample_mixed(columns.columns, columns.border, columns.ratio, key, batch_size)
-    if isinstance(columns, WeightedColumns):
-        rows = _weighted_rows(columns, 0, columns.rewards.shape[0], key, batch_size)
-        return jax.tree.map(lambda column: column[rows], columns.columns)
-    if isinstance(columns, Slab) and isinstance(columns.columns, WeightedColumns):
-        rows = _weighted_rows(columns.columns, columns.first, columns.rows, key, batch_size)
-        return jax.tree.map(lambda column: column[rows], columns.columns.columns)
     if isinstance(columns, Slab):  # the same draws as from the set alone
-        rows = columns.first + jr.randint(key, (batch_size,), 0, columns.rows)
-        return jax.tree.map(lambda column: column[rows], columns.columns)
-    rows = jr.randint(key, (batch_size,), 0, columns.rewards.shape[0])
+        within, first, count = columns.columns, columns.first, columns.rows
+    else:
+        within, first, count = columns, 0, columns.rewards.shape[0]
+
+    def alike() -> Int[Array, " batch"]:
+        return first + jr.randint(key, (batch_size,), 0, count)
+
+    if isinstance(within, Transitions):
+        return _taken(within, alike())
+    if not within.apart:
+        return _taken(within.columns, _weighted_rows(within, first, count, key, batch_size))
+    chosen = _weighted_rows(within, first, count, jr.fold_in(key, _ACTOR), batch_size)
+    return replace(_taken(within.columns, alike()), actor=_taken(within.columns, chosen))
+
+
+def _taken(columns: Transitions, rows: Int[Array, " batch"]) -> Transitions:
     return jax.tree.map(lambda column: column[rows], columns)
 
 

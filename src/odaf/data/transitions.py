@@ -17,3 +17,9 @@ class Transitions(eqx.Module):
     next_observations: Float[Array, "batch obs_dim"]  # normalised
     terminated: Float[Array, " batch"]  # 1.0 at a true end, else 0.0
     extras: dict[str, Float[Array, "batch *width"]] = eqx.field(default_factory=dict)  # those of the learner's `View`
+    actor: "Transitions | None" = None  # of a batch: the actor's rows, where critics and actor draw apart
+
+    @property
+    def for_actor(self) -> "Transitions":
+        """The rows that the actor learns from: these, unless it has its own."""
+        return self if self.actor is None else self.actor

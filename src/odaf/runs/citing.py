@@ -8,12 +8,18 @@ from pathlib import Path
 from typing import Any
 
 import odaf
-from odaf.algorithms import config
+from odaf.algorithms import citations, config
+from odaf.algorithms.base import Algorithm
 from odaf.algorithms.citations import Citation, software
 from odaf.algorithms.registry import ALGORITHMS, TERMS
 from odaf.errors import ConfigError
 from odaf.runs import presets
 from odaf.training.run_directory import RunDirectory
+
+# Weights by return and by advantage are the first paper's; the second carries them on. The best tenth is cloned in the
+# last one's comparison.
+_WEIGHTS = (citations.TRAJECTORY_WEIGHTING, citations.IMBALANCED_DATASETS)
+_OF_SAMPLING = {"return": _WEIGHTS, "advantage": _WEIGHTS, "best": (citations.DECISION_TRANSFORMER,)}
 
 
 @dataclass(frozen=True)
@@ -25,7 +31,7 @@ class Part:
 
 
 def parts_of(method: str) -> list[Part]:
-    """The learner of a method and each of its terms that is not switched off.
+    """The learner of a method, how its rows are drawn unless all alike, and each of its terms that is not switched off.
 
     Args:
         method: a preset or its file, a learner's kind, a term's name, or a run directory.
@@ -37,7 +43,10 @@ def parts_of(method: str) -> list[Part]:
     terms = getattr(found, "active_terms", getattr(found, "terms", ()))
     kind = getattr(found, "kind", None)
     own = f"term {found.name}" if kind is None else f"learner {kind}"
-    return [Part(own, found.citations()), *(Part(f"term {term.name}", term.citations()) for term in terms)]
+    parts = [Part(own, found.citations())]
+    if isinstance(found, Algorithm) and found.sampling != "uniform":
+        parts.append(Part(f"rows drawn by sampling={found.sampling!r}", _OF_SAMPLING[found.sampling]))
+    return [*parts, *(Part(f"term {term.name}", term.citations()) for term in terms)]
 
 
 def bibliography(methods: Sequence[str], layout: str = "bibtex") -> str:

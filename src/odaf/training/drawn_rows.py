@@ -2,10 +2,13 @@
 
 from typing import Any
 
+import numpy as np
+
 from odaf.algorithms.base import Algorithm
 from odaf.data.dataset import Dataset
 from odaf.data.row_choice import chosen_episodes, effective_rows
 from odaf.data.sampling import row_weights
+from odaf.data.start_values import start_values
 from odaf.errors import ConfigError
 
 DRAWN = "drawn"
@@ -18,8 +21,8 @@ def drawn_rows(algorithm: Algorithm, dataset: Dataset) -> dict[str, Any]:
     """What `data.json` says of the rows that batches are drawn from; empty where all are drawn alike.
 
     Raises:
-        ConfigError: a setting is out of its range, so few rows are left that a batch holds much of them, or the data
-            are mixed per batch.
+        ConfigError: a setting is out of its range, so few rows are left that a batch holds much of them, the data are
+            mixed per batch, or critics are to draw apart in a learner that cannot do it.
         DatasetError: rows are chosen by returns that are no finite numbers.
     """
     view = algorithm.drawn_view()
@@ -31,28 +34,40 @@ def drawn_rows(algorithm: Algorithm, dataset: Dataset) -> dict[str, Any]:
     chosen = chosen_episodes(returns, dataset.episode_lengths(), choice)
     effective, least = effective_rows(weights), FEWEST_BATCHES * algorithm.batch_size
     if effective < least:
-        setting = "return_temperature" if choice.sampling == "return" else "best_share"
-        of = "" if choice.sampling == "return" else f" of the {choice.best_of}"
+        setting = "best_share" if choice.sampling == "best" else "return_temperature"
+        of = f" of the {choice.best_of}" if choice.sampling == "best" else ""
         raise ConfigError(
             f"sampling={choice.sampling!r}, {setting}={getattr(choice, setting)}{of}: batches are drawn from "
             f"{effective:,.0f} effective rows of {len(dataset):,}, fewer than {FEWEST_BATCHES} batches of "
             f"{algorithm.batch_size}; raise {setting}, lower batch_size, or take sampling='uniform'"
         )
-    return {
-        DRAWN: {
-            "sampling": choice.sampling,
-            "episodes": len(chosen),
-            "rows": len(weights),
-            "effective_rows": effective,
-            "log_rows": len(dataset),
-            "lowest_return": float(returns[chosen].min()),
-        }
+    found = {
+        "sampling": choice.sampling,
+        "episodes": len(chosen),
+        "rows": int(np.count_nonzero(weights)),
+        "effective_rows": effective,
+        "log_rows": len(dataset),
+        "lowest_return": float(returns[chosen].min()),
     }
+    if choice.sampling == "advantage":
+        found["explained_by_start"] = start_values(returns, dataset.observations[dataset.episode_starts]).explained
+    if choice.critic_sampling != "same":
+        found["critic_sampling"] = choice.critic_sampling
+    return {DRAWN: found}
 
 
 def in_words(drawn: dict[str, Any]) -> str:
     """What `drawn_rows` found, as a sentence for the user."""
+    whose = "the actor's batches" if "critic_sampling" in drawn else "batches"
+    beside = "; those of the critics from all rows alike" if "critic_sampling" in drawn else ""
     if drawn["sampling"] == "best":
         found = f"the {drawn['rows']:,} rows of the {drawn['episodes']:,} best episodes"
-        return f"batches are drawn from {found} (return at least {drawn['lowest_return']:,.4g})"
-    return f"batches are drawn by return: as various as {drawn['effective_rows']:,.0f} rows of {drawn['log_rows']:,}"
+        return f"{whose} are drawn from {found} (return at least {drawn['lowest_return']:,.4g}){beside}"
+    by = "return"
+    if drawn["sampling"] == "advantage":
+        share = drawn["explained_by_start"]
+        by += (
+            f" less what its start foretells ({share:.0%} of the variance)" if share else " (its start foretells none)"
+        )
+    rows = f"as various as {drawn['effective_rows']:,.0f} rows of {drawn['log_rows']:,}"
+    return f"{whose} are drawn by {by}: {rows}{beside}"
