@@ -13,6 +13,8 @@ from odaf.runs import presets
 # What makes a learner small, by the name of its field, wherever it stands: in the learner, a term, or a model of one.
 SMALL: dict[str, Any] = {
     "hidden_sizes": (5, 4),
+    "actor_hidden_sizes": (5, 4),
+    "critic_hidden_sizes": (5, 4),
     "batch_size": 6,
     "num_critics": 3,
     "steps": 3,

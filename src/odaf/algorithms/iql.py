@@ -29,6 +29,7 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray, PyTree
 
 from odaf.algorithms import citations
 from odaf.algorithms.base import Algorithm, LearnerState, Metrics, PretrainProgress
+from odaf.algorithms.return_scale import scale_of_returns
 from odaf.components.adam import cosine_fall
 from odaf.components.critics import CriticEnsemble
 from odaf.components.losses import ensemble_td_gradient, expectile_loss
@@ -44,7 +45,6 @@ from odaf.data.transitions import Transitions
 from odaf.data.view import View
 from odaf.errors import ConfigError
 
-RETURN_SPAN = 1000.0  # of the best and the worst episode's return, once scaled
 LARGEST_ACTION = 1.0 - 1e-5  # logged actions are cut to plus or minus this
 
 
@@ -161,14 +161,8 @@ class IQL(Algorithm[IQLState]):
         del normaliser, key, progress
         if self.reward_scale != "returns":
             return (), {"warnings": []}
-        returns = dataset.episode_returns() + float(self.reward_shift) * dataset.episode_lengths()
-        span = float(returns.max() - returns.min())
-        if span <= 0.0:
-            raise ConfigError(
-                f"reward_scale='returns': every episode of the log returns {returns[0]:.6g}, so there is no span to "
-                "scale; set a number, such as reward_scale=1.0"
-            )
-        return jnp.asarray(RETURN_SPAN / span, jnp.float32), {"warnings": [], "reward_scale": RETURN_SPAN / span}
+        factor = scale_of_returns(dataset, self.reward_shift)
+        return jnp.asarray(factor, jnp.float32), {"warnings": [], "reward_scale": factor}
 
     def init(self, key: PRNGKeyArray, spec: Spec, models: PyTree) -> IQLState:
         """Networks of orthogonal weights and zero biases, slow critics equal to the critics, fresh optimisers."""

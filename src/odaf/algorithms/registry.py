@@ -15,6 +15,7 @@ from typing import Any, Generic, TypeVar
 
 from odaf.algorithms.base import Algorithm
 from odaf.algorithms.behaviour_cloning import BehaviourCloning
+from odaf.algorithms.cql import CQL
 from odaf.algorithms.ensemble_sac import EnsembleSAC
 from odaf.algorithms.iql import IQL
 from odaf.algorithms.rebrac import ReBRAC
@@ -86,7 +87,7 @@ ALGORITHMS: Registry[type[Algorithm]] = Registry(
     Algorithm,
     lambda entry: getattr(entry, "kind", None),
     "odaf.algorithms",
-    (EnsembleSAC, BehaviourCloning, TD3BC, IQL, ReBRAC),
+    (EnsembleSAC, BehaviourCloning, TD3BC, IQL, ReBRAC, CQL),
 )
 TERMS: Registry[type[Term]] = Registry(Term, lambda entry: getattr(entry, "name", None), "odaf.terms", BUILT_IN)
 

@@ -80,6 +80,13 @@ class CriticEnsemble(eqx.Module):
         values = self.networks(inputs)[:, 0]
         return values if self.priors is None else values + self.priors.value(inputs)
 
+    def values_of_many(
+        self, observations: Float[Array, "rows obs_dim"], actions: Float[Array, "draws rows act_dim"]
+    ) -> Float[Array, "draws rows"]:
+        """Q_k of a single member for several actions a state; its prior gets no gradient."""
+        values = self.networks.of_draws(observations, actions)[..., 0]
+        return values if self.priors is None else values + self.priors.values_of_many(observations, actions)
+
     def as_constants(
         self, observations: Float[Array, "rows obs_dim"], actions: Float[Array, "rows act_dim"]
     ) -> Float[Array, "critics rows"]:

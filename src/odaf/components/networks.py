@@ -152,6 +152,7 @@ def init_mlp(
     output_bound: float | None = None,
     products: Products = "float32",
     orthogonal_gain: float | None = None,
+    output_gain: float | None = None,
 ) -> MLP:
     """Draw a network, or a stack of `members` independent ones.
 
@@ -166,6 +167,7 @@ def init_mlp(
             like a hidden one with a zero bias.
         products: what the products between hidden layers round their factors to; sums are in float32 always.
         orthogonal_gain: every layer's weights are an orthogonal matrix times this; None draws them uniformly.
+        output_gain: the same for the last layer alone; None takes `orthogonal_gain`.
 
     Source:
         Hidden weights uniform in +-1/sqrt(fan_in), biases 0.1 and a small uniform last layer: what the authors' codes
@@ -180,7 +182,8 @@ def init_mlp(
         if orthogonal_gain is None:
             weights.append(jr.uniform(key_weight, (*stack, fan_in, fan_out), minval=-bound, maxval=bound))
         else:
-            weights.append(_orthogonal(key_weight, members, (fan_in, fan_out), orthogonal_gain))
+            gain = output_gain if is_output and output_gain is not None else orthogonal_gain
+            weights.append(_orthogonal(key_weight, members, (fan_in, fan_out), gain))
         if not is_output:
             biases.append(jnp.full((*stack, fan_out), hidden_bias, dtype=jnp.float32))
         elif output_bound is None:

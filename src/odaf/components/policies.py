@@ -8,6 +8,7 @@ import jax.random as jr
 from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 
 from odaf.components.distributions import (
+    exact_sample_tanh_gaussian,
     exact_tanh_gaussian_log_density,
     gaussian_log_density,
     sample_tanh_gaussian,
@@ -90,7 +91,15 @@ class SquashedGaussianActor(Actor):
         self, observations: Float[Array, "rows obs_dim"], noise: Float[Array, "rows act_dim"]
     ) -> tuple[Float[Array, "rows act_dim"], Float[Array, " rows"]]:
         """Action for given standard normal noise, and its log-density; differentiable in everything."""
-        mean, log_std = self.parameters(observations)
+        return self.squashed(*self.parameters(observations), noise)
+
+    def squashed(
+        self,
+        mean: Float[Array, "*rows act_dim"],
+        log_std: Float[Array, "*rows act_dim"],
+        noise: Float[Array, "*rows act_dim"],
+    ) -> tuple[Float[Array, "*rows act_dim"], Float[Array, "*rows"]]:
+        """tanh(mean + std * noise) and its log-density, which has the floor of SAC-N and its relatives."""
         return sample_tanh_gaussian(mean, log_std, noise)
 
 
@@ -123,12 +132,43 @@ class NarrowGaussianActor(SquashedGaussianActor):
         return mean, LOG_STD_MIN - 0.5 * LOG_STD_MIN * (jnp.tanh(output) + 1.0)
 
 
+class ExactGaussianActor(SquashedGaussianActor):
+    """As `GaussianActor`, with log-densities that have no floor and a range of its own for the log standard deviation.
+
+    The latter is m output + c where there are m and c (CQL).
+    """
+
+    network: MLP
+    log_std_scale: Float[Array, ""] | None  # m, learnt; None takes the output as it is
+    log_std_offset: Float[Array, ""] | None  # c, learnt
+    log_std_min: float = eqx.field(static=True)
+    log_std_max: float = eqx.field(static=True)
+
+    def parameters(
+        self, observations: Float[Array, "rows obs_dim"]
+    ) -> tuple[Float[Array, "rows act_dim"], Float[Array, "rows act_dim"]]:
+        """Mean and log standard deviation of the Gaussian before squashing."""
+        mean, log_std = jnp.split(self.network(observations), 2, axis=-1)
+        if self.log_std_scale is not None and self.log_std_offset is not None:
+            log_std = self.log_std_scale * log_std + self.log_std_offset
+        return mean, jnp.clip(log_std, self.log_std_min, self.log_std_max)
+
+    def squashed(
+        self,
+        mean: Float[Array, "*rows act_dim"],
+        log_std: Float[Array, "*rows act_dim"],
+        noise: Float[Array, "*rows act_dim"],
+    ) -> tuple[Float[Array, "*rows act_dim"], Float[Array, "*rows"]]:
+        """tanh(mean + std * noise) and its log-density, exact up to the bounds."""
+        return exact_sample_tanh_gaussian(mean, log_std, noise)
+
+
 def draw_actions(
     actor: SquashedGaussianActor, observations: Float[Array, "rows obs_dim"], noise: Float[Array, "draws rows act_dim"]
 ) -> tuple[Float[Array, "draws rows act_dim"], Float[Array, "draws rows"]]:
     """Several actions a state and their log-densities, from one pass through the actor."""
     mean, log_std = (jnp.broadcast_to(part[None], noise.shape) for part in actor.parameters(observations))
-    return sample_tanh_gaussian(mean, log_std, noise)
+    return actor.squashed(mean, log_std, noise)
 
 
 class UnsquashedGaussianActor(Actor):

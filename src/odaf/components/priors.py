@@ -18,6 +18,12 @@ class Priors(eqx.Module):
         """What one member's prior adds for rows of states and actions side by side; its parameters get no gradient."""
         return self.scale * frozen(self.networks)(inputs)[:, 0]
 
+    def values_of_many(
+        self, observations: Float[Array, "rows obs_dim"], actions: Float[Array, "draws rows act_dim"]
+    ) -> Float[Array, "draws rows"]:
+        """The same for several actions a state."""
+        return self.scale * frozen(self.networks).of_draws(observations, actions)[..., 0]
+
 
 def init_priors(
     key: PRNGKeyArray,

@@ -17,13 +17,20 @@ import numpy as np
 
 from odaf.components.critics import CriticEnsemble
 from odaf.components.networks import MLP
-from odaf.components.policies import DeterministicActor, GaussianActor, NarrowGaussianActor, UnsquashedGaussianActor
+from odaf.components.policies import (
+    DeterministicActor,
+    ExactGaussianActor,
+    GaussianActor,
+    NarrowGaussianActor,
+    UnsquashedGaussianActor,
+)
 from odaf.components.priors import Priors
 from odaf.errors import ConfigError
 
 KINDS: dict[str, type[eqx.Module]] = {
     "critics": CriticEnsemble,
     "deterministic": DeterministicActor,
+    "exact-gaussian": ExactGaussianActor,
     "gaussian": GaussianActor,
     "mlp": MLP,
     "narrow-gaussian": NarrowGaussianActor,

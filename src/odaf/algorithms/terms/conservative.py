@@ -1,25 +1,22 @@
-"""CQL's term: the critics' soft maximum over actions comes down, the logged action goes up (CQL(H), Kumar et al. 2020).
+"""CQL's penalty as a term (CQL(H), Kumar et al. 2020): the critics' soft maximum over actions comes down.
 
     L_c = weight * sum_k mean_B ( log sum_i exp( Q_k(s, a_i) - log p_i ) - Q_k(s, a) )
 
-The 3 n actions a_i of a state are n uniform ones, n of the policy at s and n of the policy at s', each with the density
-p_i it was drawn from; all of them are valued at s. docs/reference/algorithms/osr.md tells what differs from CQL.
+`odaf.components.conservative` says which actions a_i these are. The term is what CQL's relatives put beside terms of
+their own (OSR, SDC); CQL itself, with its other parts, is `odaf.algorithms.cql`.
 """
 
 import dataclasses
-import math
 from typing import ClassVar
 
-import jax
 import jax.numpy as jnp
-import jax.random as jr
 from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 
 from odaf.algorithms import citations
 from odaf.algorithms.base import Metrics
 from odaf.algorithms.terms.base import Context, Term
-from odaf.components.policies import draw_actions
-from odaf.components.targets import frozen
+from odaf.components.conservative import candidate_actions, values_and_gaps
+from odaf.components.critics import CriticEnsemble, over_members
 from odaf.errors import ConfigError
 
 
@@ -49,20 +46,11 @@ class Conservative(Term):
     def critic_loss(self, context: Context, state: PyTree, key: PRNGKeyArray) -> tuple[Float[Array, ""], Metrics]:
         """weight * sum over critics of the mean gap; its gradient reaches the critics only."""
         del state
-        key_uniform, key_here, key_next = jr.split(key, 3)
-        batch, actor = context.batch, frozen(context.actor)
-        rows, act_dim = batch.actions.shape
-        shape = (self.num_actions, rows, act_dim)
-        uniform = jr.uniform(key_uniform, shape, minval=-1.0, maxval=1.0)
-        here, density_here = draw_actions(actor, batch.observations, jr.normal(key_here, shape))
-        following, density_following = draw_actions(actor, batch.next_observations, jr.normal(key_next, shape))
-        density_uniform = jnp.full((self.num_actions, rows), -act_dim * math.log(2.0))
-        log_density = jnp.concatenate([density_uniform, density_following, density_here])
+        batch = context.batch
+        candidates, log_density = candidate_actions(key, context.actor, batch, self.num_actions)
 
-        candidates = jnp.concatenate([uniform, following, here, batch.actions[None]])  # one call for all of a state's
-        states = jnp.broadcast_to(batch.observations[None], (len(candidates), *batch.observations.shape))
-        values = context.critics(states.reshape(-1, states.shape[2]), candidates.reshape(-1, act_dim))
-        values = values.reshape(-1, len(candidates), rows)
-        soft_maximum = jax.nn.logsumexp(values[:, :-1] - log_density[None], axis=1)
-        gaps = jnp.mean(soft_maximum - values[:, -1], axis=1)
+        def gap(critic: CriticEnsemble) -> Float[Array, ""]:
+            return jnp.mean(values_and_gaps(critic, batch, candidates, log_density)[1])
+
+        gaps = over_members(gap, context.critics)
         return self.weight * jnp.sum(gaps), {"conservative/gap": jnp.mean(gaps)}
