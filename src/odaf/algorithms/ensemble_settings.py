@@ -30,8 +30,9 @@ class EnsembleSettings(Algorithm[EnsembleState]):
     prior_scale: float = 0.0
     """Factor of a fixed random network added to each critic and to its slow copy (PBRL-Prior 1.0); 0 adds none."""
     products: Products = "float32"
-    """Format that the critics' hidden layers round the factors of their products to; sums, parameters and optimiser
-    stay in float32. "bfloat16" is faster on processors with instructions for it, see docs/results/speed.md."""
+    """Format that the critics' hidden layers round the factors of their products to, on every device; sums, parameters
+    and optimiser stay in float32. "bfloat16" is faster on processors with instructions for it, see
+    docs/results/speed.md, "tensorfloat32" on GPUs. All other products have the run's `precision`."""
     target: Literal["min", "member"] = "min"
     """Values in the critics' targets: the lowest slow critic for all members, or each member's own slow copy."""
     target_deviations: float = 0.0

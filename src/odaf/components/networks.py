@@ -1,5 +1,6 @@
 """Multi-layer perceptrons, single or stacked along a leading axis so that an ensemble is one batched product."""
 
+import functools
 import itertools
 from typing import Literal
 
@@ -10,7 +11,7 @@ import jax.random as jr
 from jaxtyping import Array, Float, PRNGKeyArray
 
 Norm = Literal["none", "layer"]
-Products = Literal["float32", "bfloat16"]
+Products = Literal["float32", "tensorfloat32", "bfloat16"]
 LAYER_NORM_EPSILON = 1e-5
 
 
@@ -38,7 +39,7 @@ class MLP(eqx.Module):
             `(rows, out)` for one network, `(members, rows, out)` for a stack; a stack given `(rows, in)` shows the
             same rows to every member.
         """
-        return self._onwards(_product(x, self.weights[0]) + _over_rows(self.biases[0]))
+        return self._onwards(_product(x, self.weights[0], "float32") + _over_rows(self.biases[0]))
 
     def of_draws(
         self, shared: Float[Array, "rows shared_in"], drawn: Float[Array, "draws rows drawn_in"]
@@ -65,48 +66,67 @@ class MLP(eqx.Module):
             if self.scales:
                 x = _layer_norm(x) * _over_rows(self.scales[index]) + _over_rows(self.offsets[index])
             x = jax.nn.relu(x) if self.activation == "relu" else jax.nn.silu(x)
-            weight, rounded = self.weights[index + 1], self.products == "bfloat16" and index + 1 < last
-            x = (_rounded_product(x, weight) if rounded else _product(x, weight)) + _over_rows(self.biases[index + 1])
+            products = self.products if index + 1 < last else "float32"
+            x = _product(x, self.weights[index + 1], products) + _over_rows(self.biases[index + 1])
         return x
 
 
-def _product(x: Float[Array, "*a fan_in"], weight: Float[Array, "*b fan_out"]) -> Float[Array, "*c fan_out"]:
+def _product(
+    x: Float[Array, "*a fan_in"], weight: Float[Array, "*b fan_out"], products: Products
+) -> Float[Array, "*c fan_out"]:
+    if products != "float32":
+        return jnp.asarray(_rounded_product(x, weight, products))
     return x @ weight if weight.ndim == 2 else jnp.einsum(_equation(x, weight), x, weight)
 
 
-@jax.custom_vjp
-def _rounded_product(x: Float[Array, "*a fan_in"], weight: Float[Array, "*b fan_out"]) -> Float[Array, "*c fan_out"]:
-    """`_product` of factors rounded to bfloat16, summed in float32; the same in its backward pass.
+@functools.partial(jax.custom_vjp, nondiff_argnums=(2,))
+def _rounded_product(
+    x: Float[Array, "*a fan_in"], weight: Float[Array, "*b fan_out"], products: Products
+) -> Float[Array, "*c fan_out"]:
+    """`_product` of rounded factors, summed in float32; the same in its backward pass.
 
     The rule is written out because the one that JAX derives multiplies numbers of unlike types, which processors'
     libraries do not. Reverse mode only.
     """
-    return _mixed(_equation(x, weight), x, weight)
+    return _mixed(_equation(x, weight), _round(x, products), _round(weight, products), products)
 
 
-def _rounded_forward(x: Array, weight: Array) -> tuple[Array, tuple[Array, Array]]:
-    rounded = x.astype(jnp.bfloat16), weight.astype(jnp.bfloat16)
-    return _mixed(_equation(x, weight), *rounded), rounded
+def _rounded_forward(x: Array, weight: Array, products: Products) -> tuple[Array, tuple[Array, Array]]:
+    rounded = _round(x, products), _round(weight, products)
+    return _mixed(_equation(x, weight), *rounded, products), rounded
 
 
-def _rounded_backward(factors: tuple[Array, Array], slope: Array) -> tuple[Array, Array]:
+def _rounded_backward(products: Products, factors: tuple[Array, Array], slope: Array) -> tuple[Array, Array]:
     x, weight = factors
     rows, columns, out = _equation(x, weight).replace("->", ",").split(",")
-    return _mixed(f"{out},{columns}->{rows}", slope, weight), _mixed(f"{rows},{out}->{columns}", x, slope)
+    slope = _round(slope, products)
+    return (
+        _mixed(f"{out},{columns}->{rows}", slope, weight, products),
+        _mixed(f"{rows},{out}->{columns}", x, slope, products),
+    )
 
 
 _rounded_product.defvjp(_rounded_forward, _rounded_backward)
+
+
+def _round(factor: Array, products: Products) -> Array:
+    if products == "bfloat16":
+        return factor.astype(jnp.bfloat16)
+    # TF32 has float32's exponent and 10 bits of mantissa. A GPU's products round by themselves.
+    return factor if jax.default_backend() == "gpu" else jax.lax.reduce_precision(factor, 8, 10)
+
+
+def _mixed(equation: str, a: Array, b: Array, products: Products) -> Array:
+    if products == "bfloat16":
+        return jnp.einsum(equation, a, b, preferred_element_type=jnp.float32)
+    natively = jax.default_backend() == "gpu"
+    return jnp.einsum(equation, a, b, precision=jax.lax.Precision.HIGH if natively else jax.lax.Precision.HIGHEST)
 
 
 def _equation(x: Array, weight: Array) -> str:
     if weight.ndim == 2:
         return "bi,io->bo"
     return "bi,kio->kbo" if x.ndim == 2 else "kbi,kio->kbo"
-
-
-def _mixed(equation: str, a: Array, b: Array) -> Array:
-    rounded = a.astype(jnp.bfloat16), b.astype(jnp.bfloat16)
-    return jnp.einsum(equation, *rounded, preferred_element_type=jnp.float32)
 
 
 def _over_rows(parameter: Float[Array, "*stack width"]) -> Float[Array, "*stack 1 width"]:
@@ -138,7 +158,9 @@ def _normalised(x: Float[Array, "*rows width"]) -> tuple[Float[Array, "*rows wid
 
 def _row_mean(x: Float[Array, "*rows width"]) -> Float[Array, "*rows 1"]:
     # As a product with a constant vector: the CPU compiler vectorises those, not sums along the last axis.
-    return (x @ jnp.full((x.shape[-1],), 1.0 / x.shape[-1], x.dtype))[..., None]
+    # Where products are rounded, this one is not.
+    weights = jnp.full((x.shape[-1],), 1.0 / x.shape[-1], x.dtype)
+    return jnp.matmul(x, weights, precision=jax.lax.Precision.HIGHEST)[..., None]
 
 
 def init_mlp(

@@ -24,7 +24,7 @@ from odaf.training.process_record import process_record, why_bits_differ, why_bi
 from odaf.training.progress import ProgressReport, default_progress
 from odaf.training.run_directory import RunDirectory
 from odaf.training.seeds import SeedTraining, compiling_stage, prepare
-from odaf.training.settings import OnDivergence, RunSettings, SettingChanges, products_in
+from odaf.training.settings import OnDivergence, RunSettings, SettingChanges, precision_here, products_in
 
 # Brings the unfinished seeds of a run to their last step.
 TrainSeeds = Callable[[Sequence[SeedTraining], Dataset, Sequence[Logger]], None]
@@ -124,7 +124,7 @@ def open_run(
         new = not (path / "config.json").exists()
         if new and DRAWN in data:
             report.message(f"{path}: {in_words(data[DRAWN])}")
-        process = process_record(_cores(settings, apart), settings.precision or "default")
+        process = process_record(_cores(settings, apart), precision_here(settings.precision))
         run = run_writing.begin(path, config, plain(data), process, dataset)
         if new and (reason := why_bits_do_not_repeat(process)):
             report.message(f"{path}: {reason}, set before Python starts; the bits of this run will not repeat")
@@ -195,7 +195,7 @@ def resume(
             run = RunDirectory(run.path)
         if others.get("evaluate") is not None:
             _evaluate_ends_again(run)
-        process = process_record(_cores(settings, apart), settings.precision or "default")
+        process = process_record(_cores(settings, apart), precision_here(settings.precision))
         if others:
             process["changed"] = {name: {"from": config[name], "to": value} for name, value in others.items()}
         seeds = _unfinished(run, settings, evaluate, report, process)

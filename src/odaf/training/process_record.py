@@ -13,6 +13,7 @@ from typing import Any
 import jax
 
 from odaf import __version__
+from odaf.training.settings import named_precision
 
 _PACKAGES = (
     "jax", "jaxlib", "equinox", "optax", "numpy", "scipy", "h5py", "gymnasium", "gymnasium-robotics", "mujoco"
@@ -25,7 +26,7 @@ def process_record(cores: int, precision: str) -> dict[str, Any]:
 
     Args:
         cores: cores that a training process takes.
-        precision: of matrix products.
+        precision: format of the factors of matrix products.
     """
     device = jax.devices()[0]
     return {
@@ -48,6 +49,8 @@ def why_bits_differ(before: dict[str, Any], now: dict[str, Any]) -> str:
     A GPU that may add in any order gives other bits at every start, unless XLA was told otherwise.
     """
     names = ("python", "device", "processor", "cores", "precision", "xla_flags")
+    if "precision" in before:
+        before = {**before, "precision": named_precision(before["precision"], before.get("device", "").split(":")[0])}
     old = {**{name: before.get(name) for name in names if name in before}, **before.get("versions", {})}
     new = {**{name: now[name] for name in names if name in before}, **now["versions"]}
     different = [name for name in {**old, **new} if old.get(name) != new.get(name)]

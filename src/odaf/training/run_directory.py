@@ -30,6 +30,7 @@ from odaf.training.checkpoints import Checkpoint
 from odaf.training.files import read_arrays, read_json
 from odaf.training.logging import Series
 from odaf.training.policy import Policy
+from odaf.training.settings import named_precision
 
 FORMAT = "odaf-run"
 # 2: the state of the ensemble learner is laid out anew; settings of the whole run. Reports and scores of 1 still work.
@@ -67,6 +68,8 @@ class RunDirectory:
                 "the version of odaf that made the run"
             )
         _require(path, config, ("steps", "seeds"))
+        if "precision" in config:
+            config["precision"] = named_precision(config["precision"], config.get("device", ""))
         return config
 
     def require_current(self) -> None:

@@ -17,11 +17,12 @@ from odaf.errors import ConfigError
 OnDivergence = Literal["warn", "stop"]
 KeepCheckpoints = tuple[int, int] | Literal["all"]
 Device = Literal["cpu", "gpu", "tpu"]
-Precision = Literal["default", "high", "highest"]
+Precision = Literal["float32", "tensorfloat32"]
 
-# What JAX calls the three, too.
-_PRECISIONS: dict[str | None, Precision] = {
-    None: "default", "default": "default", "bfloat16": "default", "fastest": "default",
+# What JAX calls its three grades, and records did before they named formats. On a GPU the two lower ones are TF32,
+# whatever their names say; on a processor all are single precision.
+_GRADES = {
+    "default": "default", "bfloat16": "default", "fastest": "default",
     "high": "high", "tensorfloat32": "high", "bfloat16_3x": "high",
     "highest": "highest", "float32": "highest",
 }  # fmt: skip
@@ -77,7 +78,8 @@ class RunSettings:
     device: Device | None = None
     """Kind of device to compute on; without it, the fastest that JAX finds."""
     precision: Precision | None = None
-    """Precision of matrix products on an accelerator (`highest` is single precision); without it, JAX's default."""
+    """Format that the factors of matrix products are rounded to; sums are in float32. `tensorfloat32` (10 bits of
+    mantissa) is for GPUs alone, where it is faster. Without it, float32, or what JAX was set to."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "seeds", tuple(int(seed) for seed in self.seeds))
@@ -99,7 +101,7 @@ class RunSettings:
             )
         self._check_choice("on_divergence", ("warn", "stop"))
         self._check_choice("device", (None, "cpu", "gpu", "tpu"))
-        self._check_choice("precision", (None, "default", "high", "highest"))
+        self._check_choice("precision", (None, "float32", "tensorfloat32"))
         if self.keep_checkpoints != "all" and (
             len(self.keep_checkpoints) != 2 or self.keep_checkpoints[0] < 1 or self.keep_checkpoints[1] < 0
         ):
@@ -139,10 +141,10 @@ class RunSettings:
         processes = min(workers, len(self.seeds)) if lanes == 1 else 1
         cores = self.cores or known.get("cores") or max(1, usable_cores() // processes)
         device = self.device or known.get("device") or jax.default_backend()
-        precision = self.precision or known.get("precision")
-        return replace(
-            self, workers=workers, lanes=lanes, cores=cores, device=device, precision=precision or _precision_now()
-        )
+        if self.precision == "tensorfloat32" and device != "gpu":
+            raise ConfigError(f"precision: tensorfloat32 is a format of GPUs, this is a {device}; take float32")
+        precision = self.precision or known.get("precision") or _precision_now()
+        return replace(self, workers=workers, lanes=lanes, cores=cores, device=device, precision=precision)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain JSON types, as they stand in `config.json`."""
@@ -179,19 +181,38 @@ def default_players() -> int:
 
 
 def products_in(precision: Precision | None) -> contextlib.AbstractContextManager[object]:
-    """A context whose matrix products have a run's precision; as JAX is set outside of it, if that is the same."""
-    return (
-        contextlib.nullcontext() if precision in (None, _precision_now()) else jax.default_matmul_precision(precision)
-    )
+    """A context whose matrix products have a run's precision, if this device has it; None leaves JAX as it is."""
+    if precision is None or jax.default_backend() == "cpu":
+        return contextlib.nullcontext()
+    return jax.default_matmul_precision("highest" if precision_here(precision) == "float32" else "high")
+
+
+def precision_here(precision: Precision | None) -> Precision:
+    """The format of products on this device: a run that was begun on a GPU may be gone on with elsewhere."""
+    return (precision or _precision_now()) if jax.default_backend() == "gpu" else "float32"
+
+
+def named_precision(recorded: Any, device: str) -> Any:
+    """The name of a precision in a record, which once held JAX's grades; what else stands there is left.
+
+    Args:
+        recorded: as it stands there.
+        device: kind of device that it was recorded on.
+    """
+    if recorded in ("default", "high", "highest"):
+        return "tensorfloat32" if device == "gpu" and recorded != "highest" else "float32"
+    return recorded
 
 
 def _precision_now() -> Precision:
+    """float32 unless JAX was set to something: its own default on a GPU is TF32, for float32 numbers too."""
     named = jax.config.values["jax_default_matmul_precision"]
-    if named not in _PRECISIONS:
-        raise ConfigError(
-            f"precision: JAX is set to {named!r}, which a run cannot record; take default, high or highest"
-        )
-    return _PRECISIONS[named]
+    if named is None:
+        return "float32"
+    device = jax.default_backend()
+    if named not in _GRADES or (device == "tpu" and _GRADES[named] != "highest"):
+        raise ConfigError(f"precision: JAX is set to {named!r}, which a run cannot record; take float32")
+    return named_precision(_GRADES[named], device)
 
 
 class SettingChanges(TypedDict, total=False):
