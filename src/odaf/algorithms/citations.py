@@ -142,6 +142,30 @@ REBRAC = Citation(
     _NEURIPS,
     "2305.09836",
 )
+BCQ = Citation(
+    "fujimoto2019bcq",
+    ("Scott Fujimoto", "David Meger", "Doina Precup"),
+    "Off-Policy Deep Reinforcement Learning without Exploration",
+    2019,
+    "International Conference on Machine Learning",
+    "1812.02900",
+)
+BEAR = Citation(
+    "kumar2019bear",
+    ("Aviral Kumar", "Justin Fu", "Matthew Soh", "George Tucker", "Sergey Levine"),
+    "Stabilizing Off-Policy Q-Learning via Bootstrapping Error Reduction",
+    2019,
+    _NEURIPS,
+    "1906.00949",
+)
+BRAC = Citation(
+    "wu2019brac",
+    ("Yifan Wu", "George Tucker", "Ofir Nachum"),
+    "Behavior Regularized Offline Reinforcement Learning",
+    2019,
+    "",
+    "1911.11361",
+)
 CLONING = Citation(
     "pomerleau1988alvinn",
     ("Dean A. Pomerleau",),

@@ -1,4 +1,4 @@
-"""Models of whoever acted in the log, pi_b(a|s): a conditional auto-encoder of actions, and a clone.
+"""Models of whoever acted in the log, pi_b(a|s): a conditional auto-encoder of actions, a clone, and a Gaussian.
 
     z ~ q(z | s, a) = N(mean, std^2),   a^ = tanh( decoder(s, z) )
     l(s, a) = mean_dims ( a^ - a )^2 + 0.5 mean_dims KL( q(. | s, a) || N(0, 1) )
@@ -10,20 +10,27 @@ sample of z (Wu et al. 2022, SPOT). The auto-encoder can be trained beside a lea
 beforehand by `fit_behaviour_cvae`.
 
 The clone is mu_b(s) = tanh(MLP(s)), with L = mean_{B, dims} ( mu_b(s) - a )^2.
+
+The Gaussian is squashed by a tanh, its standard deviation in [e^-5, 1], with L = mean_B ( alpha log pi_b(a~|s) - log
+pi_b(a|s) ), a~ ~ pi_b(.|s), logged actions cut to +-0.999 (Wu et al. 2019, BRAC). alpha >= 0 steers the entropy to
+minus the number of action dimensions.
 """
 
 import dataclasses
 from typing import Any, TypeVar
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import jax.random as jr
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from odaf.components.cvae import CVAE, KL_WEIGHT, init_cvae, latent_divergence
+from odaf.components.distributions import exact_sample_tanh_gaussian, exact_tanh_gaussian_log_density
 from odaf.components.fitting import Loss, OfRows, Progress, fit, of_rows
-from odaf.components.policies import DeterministicActor, init_deterministic_actor
+from odaf.components.networks import init_mlp
+from odaf.components.policies import DeterministicActor, NarrowGaussianActor, init_deterministic_actor
 from odaf.components.pretraining import Rows, split_columns
 from odaf.data.dataset import Dataset
 from odaf.data.normalisation import Normaliser
@@ -31,6 +38,7 @@ from odaf.errors import ConfigError
 
 LATENTS_PER_ACTION = 2
 LOG_STD_RANGE = (-4.0, 15.0)  # of q
+LARGEST_ACTION = 1.0 - 1e-3  # what the Gaussian is asked for: the density of +-1 itself is infinite
 
 Model = TypeVar("Model")
 
@@ -161,6 +169,56 @@ def fit_clone(
     return _fitted(config, model, _clone_loss, _clone_errors, dataset, normaliser, key_fit, progress)
 
 
+def init_gaussian(key: PRNGKeyArray, obs_dim: int, act_dim: int, hidden_sizes: tuple[int, ...]) -> NarrowGaussianActor:
+    """Draw a Gaussian with zero hidden biases."""
+    return NarrowGaussianActor(init_mlp(key, (obs_dim, *hidden_sizes, 2 * act_dim), hidden_bias=0.0))
+
+
+def log_density_inside(
+    model: NarrowGaussianActor, observations: Float[Array, "rows obs_dim"], actions: Float[Array, "*draws rows act_dim"]
+) -> Float[Array, "*draws rows"]:
+    """log pi_b(a|s) in nats, of actions cut to +-0.999; the Gaussian is computed once a state."""
+    mean, log_std = (jnp.broadcast_to(part, actions.shape) for part in model.parameters(observations))
+    return exact_tanh_gaussian_log_density(mean, log_std, jnp.clip(actions, -LARGEST_ACTION, LARGEST_ACTION))
+
+
+def gaussian_loss(
+    model: tuple[NarrowGaussianActor, Float[Array, ""]], batch: Rows, key: PRNGKeyArray
+) -> tuple[Float[Array, ""], dict[str, Float[Array, ""]]]:
+    """L of the Gaussian, in which alpha is a constant, beside alpha's own loss alpha ( entropy + act_dim ).
+
+    alpha is stored as it is and counts as 0 below 0.
+    """
+    (gaussian, alpha), (observations, actions, _) = model, batch
+    mean, log_std = gaussian.parameters(observations)
+    _, log_drawn = exact_sample_tanh_gaussian(mean, log_std, jr.normal(key, mean.shape))
+    inside = jnp.clip(actions, -LARGEST_ACTION, LARGEST_ACTION)
+    log_density = jnp.mean(exact_tanh_gaussian_log_density(mean, log_std, inside))
+    entropy = -jnp.mean(log_drawn)
+    weight = jax.lax.stop_gradient(jnp.maximum(alpha, 0.0))
+    steering = alpha * jax.lax.stop_gradient(entropy + actions.shape[1])
+    figures = {"log_density": log_density, "entropy": entropy, "temperature": alpha}
+    return steering - weight * entropy - log_density, figures
+
+
+def fit_gaussian(
+    config: BehaviourConfig, dataset: Dataset, normaliser: Normaliser, key: PRNGKeyArray, progress: Progress
+) -> tuple[NarrowGaussianActor, dict[str, Any]]:
+    """Train the Gaussian on most episodes and measure it on the rest; arguments and errors as `fit_clone`.
+
+    Returns:
+        The frozen model, and a report whose error is the squared one of tanh(mean).
+    """
+    key_init, key_fit = jr.split(key)
+    model = init_gaussian(key_init, dataset.obs_dim, dataset.act_dim, config.hidden_sizes), jnp.ones(())
+    fitted, report = _fitted(config, model, gaussian_loss, _gaussian_errors, dataset, normaliser, key_fit, progress)
+    return fitted[0], report
+
+
+def _gaussian_errors(model: tuple[NarrowGaussianActor, Float[Array, ""]], batch: Rows) -> Float[Array, " rows"]:
+    return jnp.mean(jnp.square(model[0].mode(batch[0]) - batch[1]), axis=-1)
+
+
 def _cvae_loss(
     model: BehaviourCVAE, batch: Rows, key: PRNGKeyArray
 ) -> tuple[Float[Array, ""], dict[str, Float[Array, ""]]]:
@@ -214,7 +272,7 @@ def _fitted(
     naive = float(np.mean(np.square(rows.training()[1].mean(axis=0) - actions)))
     report: dict[str, Any] = {
         "steps": fitted.steps,
-        "training_loss": fitted.means["loss"],
+        **{f"training_{name}": value for name, value in fitted.means.items()},
         "holdout_rows": len(actions),
         "holdout_error": error,
         "mean_action_mse": naive,

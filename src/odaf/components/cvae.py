@@ -76,6 +76,16 @@ class CVAE(eqx.Module):
         return jr.normal(key, (rows, self.latent_dim))
 
 
+def decoded_draws(
+    decoder: MLP, condition: Float[Array, "rows condition_dim"], normal: Float[Array, "draws rows latent_dim"]
+) -> Float[Array, "draws rows output_dim"]:
+    """A decoder's outputs for several z of the clipped prior a row, for standard normal noise.
+
+    What the condition adds to the first layer is computed once for all of them.
+    """
+    return decoder.of_draws(condition, jnp.clip(normal, -PRIOR_CLIP, PRIOR_CLIP))
+
+
 def reparameterised(
     mean: Float[Array, "rows latent_dim"],
     log_std: Float[Array, "rows latent_dim"],
