@@ -32,12 +32,11 @@ from odaf.algorithms.base import Algorithm, LearnerState, Metrics, PretrainProgr
 from odaf.components.behaviour_models import BehaviourConfig, fit_gaussian, init_gaussian, log_density_inside
 from odaf.components.critics import CriticEnsemble, init_critics
 from odaf.components.discrepancy import squared_discrepancy
-from odaf.components.distributions import exact_sample_tanh_gaussian
 from odaf.components.duals import Dual, ascended_directly
 from odaf.components.losses import ensemble_td_gradient
 from odaf.components.networks import MLP
 from odaf.components.numbers import Number
-from odaf.components.policies import NarrowGaussianActor
+from odaf.components.policies import NarrowGaussianActor, draw_actions
 from odaf.components.targets import bellman_target
 from odaf.components.trained import Trained
 from odaf.data.dataset import Dataset
@@ -62,14 +61,6 @@ class BRACState(LearnerState):
     critics: Trained[MLP]
     weight: Dual | None  # alpha, where it is learned
     behaviour: NarrowGaussianActor  # beta, frozen
-
-
-def draws_of(
-    actor: NarrowGaussianActor, observations: Float[Array, "rows obs_dim"], noise: Float[Array, "draws rows act_dim"]
-) -> Draws:
-    """Several actions a state and their log-densities, from one pass through the actor."""
-    mean, log_std = (jnp.broadcast_to(part[None], noise.shape) for part in actor.parameters(observations))
-    return exact_sample_tanh_gaussian(mean, log_std, noise)
 
 
 def kl_estimate(
@@ -180,7 +171,7 @@ class BRAC(Algorithm[BRACState]):
         """D(s), or the discrepancy in its place."""
         if self.divergence == "kl":
             return kl_estimate(draws, state.behaviour, observations)
-        logged, _ = draws_of(state.behaviour, observations, jr.normal(key, draws[0].shape))
+        logged, _ = draw_actions(state.behaviour, observations, jr.normal(key, draws[0].shape))
         return squared_discrepancy(draws[0], logged, "laplacian", KERNEL_WIDTH)
 
     def target(self, state: BRACState, batch: Transitions, key: PRNGKeyArray) -> Float[Array, " rows"]:
@@ -189,7 +180,7 @@ class BRAC(Algorithm[BRACState]):
         key_draws, key_behaviour = jr.split(key)
         draws = 1 + (self.num_draws if self.value_penalty else 0)
         noise = jr.normal(key_draws, (draws, *batch.actions.shape))
-        actions, log_density = draws_of(state.actor.now, batch.next_observations, noise)
+        actions, log_density = draw_actions(state.actor.now, batch.next_observations, noise)
         values = jnp.min(CriticEnsemble(state.critics.slow)(batch.next_observations, actions[0]), axis=0)
         if self.value_penalty:
             others = actions[1:], log_density[1:]
@@ -208,7 +199,7 @@ class BRAC(Algorithm[BRACState]):
         """L_pi; gradients reach the actor only. Q takes part from the update after the warm-up on."""
         key_draws, key_behaviour = jr.split(key)
         noise = jr.normal(key_draws, (1 + self.num_draws, *batch.actions.shape))
-        actions, log_density = draws_of(actor, batch.observations, noise)
+        actions, log_density = draw_actions(actor, batch.observations, noise)
         divergence = self.divergences(state, (actions[1:], log_density[1:]), batch.observations, key_behaviour)
         values = jnp.min(critics.as_constants(batch.observations, actions[0]), axis=0)
         counts = (state.step >= self.warm_up_steps).astype(values.dtype)

@@ -14,7 +14,10 @@ from importlib.metadata import entry_points
 from typing import Any, Generic, TypeVar
 
 from odaf.algorithms.base import Algorithm
+from odaf.algorithms.bcq import BCQ
+from odaf.algorithms.bear import BEAR
 from odaf.algorithms.behaviour_cloning import BehaviourCloning
+from odaf.algorithms.brac import BRAC
 from odaf.algorithms.cql import CQL
 from odaf.algorithms.ensemble_sac import EnsembleSAC
 from odaf.algorithms.iql import IQL
@@ -87,7 +90,7 @@ ALGORITHMS: Registry[type[Algorithm]] = Registry(
     Algorithm,
     lambda entry: getattr(entry, "kind", None),
     "odaf.algorithms",
-    (EnsembleSAC, BehaviourCloning, TD3BC, IQL, ReBRAC, CQL),
+    (EnsembleSAC, BehaviourCloning, TD3BC, IQL, ReBRAC, BCQ, BEAR, BRAC, CQL),
 )
 TERMS: Registry[type[Term]] = Registry(Term, lambda entry: getattr(entry, "name", None), "odaf.terms", BUILT_IN)
 

@@ -27,7 +27,7 @@ import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from odaf.components.cvae import CVAE, KL_WEIGHT, init_cvae, latent_divergence
-from odaf.components.distributions import exact_sample_tanh_gaussian, exact_tanh_gaussian_log_density
+from odaf.components.distributions import exact_tanh_gaussian_log_density
 from odaf.components.fitting import Loss, OfRows, Progress, fit, of_rows
 from odaf.components.networks import init_mlp
 from odaf.components.policies import DeterministicActor, NarrowGaussianActor, init_deterministic_actor
@@ -191,7 +191,7 @@ def gaussian_loss(
     """
     (gaussian, alpha), (observations, actions, _) = model, batch
     mean, log_std = gaussian.parameters(observations)
-    _, log_drawn = exact_sample_tanh_gaussian(mean, log_std, jr.normal(key, mean.shape))
+    _, log_drawn = gaussian.squashed(mean, log_std, jr.normal(key, mean.shape))
     inside = jnp.clip(actions, -LARGEST_ACTION, LARGEST_ACTION)
     log_density = jnp.mean(exact_tanh_gaussian_log_density(mean, log_std, inside))
     entropy = -jnp.mean(log_drawn)

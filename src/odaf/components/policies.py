@@ -119,7 +119,7 @@ class GaussianActor(SquashedGaussianActor):
 class NarrowGaussianActor(SquashedGaussianActor):
     """As `GaussianActor`, with a standard deviation that a tanh keeps inside [e^-5, 1] before squashing.
 
-    log std = -5 + 2.5 ( tanh(output) + 1 ), so it has a slope everywhere (BRAC).
+    log std = -5 + 2.5 ( tanh(output) + 1 ), so it has a slope everywhere; log-densities have no floor (BRAC).
     """
 
     network: MLP
@@ -130,6 +130,15 @@ class NarrowGaussianActor(SquashedGaussianActor):
         """Mean and log standard deviation of the Gaussian before squashing."""
         mean, output = jnp.split(self.network(observations), 2, axis=-1)
         return mean, LOG_STD_MIN - 0.5 * LOG_STD_MIN * (jnp.tanh(output) + 1.0)
+
+    def squashed(
+        self,
+        mean: Float[Array, "*rows act_dim"],
+        log_std: Float[Array, "*rows act_dim"],
+        noise: Float[Array, "*rows act_dim"],
+    ) -> tuple[Float[Array, "*rows act_dim"], Float[Array, "*rows"]]:
+        """tanh(mean + std * noise) and its log-density, exact up to the bounds."""
+        return exact_sample_tanh_gaussian(mean, log_std, noise)
 
 
 class ExactGaussianActor(SquashedGaussianActor):

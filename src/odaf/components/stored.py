@@ -25,6 +25,7 @@ from odaf.components.policies import (
     UnsquashedGaussianActor,
 )
 from odaf.components.priors import Priors
+from odaf.components.ranked_actors import PerturbedActor, RankedGaussianActor
 from odaf.errors import ConfigError
 
 KINDS: dict[str, type[eqx.Module]] = {
@@ -34,7 +35,9 @@ KINDS: dict[str, type[eqx.Module]] = {
     "gaussian": GaussianActor,
     "mlp": MLP,
     "narrow-gaussian": NarrowGaussianActor,
+    "perturbed": PerturbedActor,
     "priors": Priors,
+    "ranked-gaussian": RankedGaussianActor,
     "unsquashed-gaussian": UnsquashedGaussianActor,
 }
 """Modules that files may name. Add a class of your own under a name of its own to store actors made of it; it must be
