@@ -11,28 +11,44 @@ import argparse
 import sys
 import time
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from benchmarks.faults.planted import FAULTS, as_log  # noqa: E402
+from benchmarks.faults.planted import ADVICE, FAULTS, Fault, as_log  # noqa: E402
 from benchmarks.faults.recorded import RECORDED, Recorded  # noqa: E402
 from benchmarks.faults.sound import KINDS, Kind  # noqa: E402
 from benchmarks.machine import machine, write_figures  # noqa: E402
-from odaf.data.checks import check_log  # noqa: E402
+from odaf.data.checks import check_log, structure  # noqa: E402
+from odaf.data.checks.returns import Returns  # noqa: E402
+from odaf.data.checks.stream import blocks  # noqa: E402
 from odaf.data.log import Log  # noqa: E402
 
-JUDGED = sorted({check for fault in FAULTS.values() for check in fault.checks})
 BEGIN, END = "<!-- table by benchmarks/check_faults.py -->", "<!-- end of table -->"
+BEGIN_ADVICE = "<!-- table by benchmarks/check_faults.py --advice -->"
 Logs = dict[str, Kind | Recorded]
 
 
-def found_in(log: Log) -> set[str]:
-    """Names of the warnings and errors that are judged here."""
-    return {finding.check for finding in check_log(log).findings if finding.severity != "note"} & set(JUDGED)
+def judged(faults: Mapping[str, Fault]) -> list[str]:
+    """Names of the findings that name one of these."""
+    return sorted({check for fault in faults.values() for check in fault.checks})
+
+
+def found_in(log: Log, faults: Mapping[str, Fault]) -> set[str]:
+    """Names of the findings that are judged here: warnings and errors that are faults', or notes that advise."""
+    if faults is ADVICE:  # all of it comes from one check, and the others take long
+        facts, _ = structure.examine(log, None)
+        assert facts is not None
+        check = Returns(facts)
+        for block in blocks(facts, 65_536):
+            check.see(block)
+        findings = check.findings()
+    else:
+        findings = [finding for finding in check_log(log).findings if finding.severity != "note"]
+    return {finding.check for finding in findings} & set(judged(faults))
 
 
 def logs_with(kinds: Logs, plant: Any, without: Any, seeds: Sequence[int]) -> Iterator[tuple[str, Log]]:
@@ -49,15 +65,15 @@ def logs_with(kinds: Logs, plant: Any, without: Any, seeds: Sequence[int]) -> It
                 yield name, log
 
 
-def judge_planted(kinds: Logs, seeds: Sequence[int]) -> list[dict[str, Any]]:
+def judge_planted(kinds: Logs, seeds: Sequence[int], faults: Mapping[str, Fault] = FAULTS) -> list[dict[str, Any]]:
     """A row for each fault and size: how many logs had it, in how many it was named, and where it was not."""
     rows = []
-    for name, fault in FAULTS.items():
+    for name, fault in faults.items():
         for size, plant in fault.sizes.items():
             count, missed = 0, Counter()
             for kind, log in logs_with(kinds, plant, fault.not_in, seeds):
                 count += 1
-                if not found_in(log) & set(fault.checks):
+                if not found_in(log, faults) & set(fault.checks):
                     missed[kind] += 1
             row = {"fault": name, "size": size, "checks": list(fault.checks), "logs": count}
             rows.append(row | {"found": count - missed.total(), "missed": dict(missed)})
@@ -65,7 +81,7 @@ def judge_planted(kinds: Logs, seeds: Sequence[int]) -> list[dict[str, Any]]:
     return rows
 
 
-def judge_sound(kinds: Logs, seeds: Sequence[int]) -> dict[str, Any]:
+def judge_sound(kinds: Logs, seeds: Sequence[int], faults: Mapping[str, Fault] = FAULTS) -> dict[str, Any]:
     """How many sound logs were looked at, and which were blamed by which finding."""
     blamed: dict[str, Counter[str]] = defaultdict(Counter)
     count = any_blamed = 0
@@ -73,12 +89,12 @@ def judge_sound(kinds: Logs, seeds: Sequence[int]) -> dict[str, Any]:
         for seed in seeds if isinstance(kind, Kind) else seeds[:1]:
             rows = kind.make(seed)
             for successors in (False, True):
-                found = found_in(as_log(rows, successors))
+                found = found_in(as_log(rows, successors), faults)
                 count += 1
                 any_blamed += bool(found)
                 for check in found:
                     blamed[check][name] += 1
-    return {"logs": count, "blamed": any_blamed, "by_check": {check: dict(blamed[check]) for check in JUDGED}}
+    return {"logs": count, "blamed": any_blamed, "by_check": {check: dict(blamed[check]) for check in judged(faults)}}
 
 
 def speed() -> dict[str, float]:
@@ -99,7 +115,7 @@ def speed() -> dict[str, float]:
 
 def as_markdown(planted: list[dict[str, Any]], sound: dict[str, Any], seeds: Sequence[int]) -> str:
     """The tables that stand in docs/results/check-evidence.md."""
-    lines = [BEGIN, "", f"Judged on seeds {', '.join(map(str, seeds))}: {sound['logs']:,} sound logs, "]
+    lines = ["", f"Judged on seeds {', '.join(map(str, seeds))}: {sound['logs']:,} sound logs, "]
     lines[-1] += f"{sound['blamed']} of them blamed by any of these findings ({sound['blamed'] / sound['logs']:.1%})."
     lines += ["", "| fault | size | named by | found | not found in |", "|---|---|---|---|---|"]
     for row in planted:
@@ -111,7 +127,7 @@ def as_markdown(planted: list[dict[str, Any]], sound: dict[str, Any], seeds: Seq
     for check, kinds in sound["by_check"].items():
         total = sum(kinds.values())
         lines.append(f"| `{check}` | {total} of {sound['logs']} ({total / sound['logs']:.1%}) | {', '.join(kinds)} |")
-    return "\n".join([*lines, "", END])
+    return "\n".join([*lines, "", ""])
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -120,6 +136,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--seeds", type=int, nargs="+", default=[100, 101])
     parser.add_argument("--kinds", type=int, default=len(KINDS), help="only so many kinds, for a quick look")
     parser.add_argument("--recorded", action="store_true", help="also sets of `odaf data generate`")
+    parser.add_argument("--advice", action="store_true", help="judge the notes that advise, in place of faults")
     parser.add_argument("--json", type=Path, default=None)
     parser.add_argument("--markdown", type=Path, default=None, help="page whose table is written anew")
     options = parser.parse_args(arguments)
@@ -127,13 +144,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if options.recorded:
         kinds |= RECORDED
     about = machine()
-    sound, planted = judge_sound(kinds, options.seeds), judge_planted(kinds, options.seeds)
+    faults = ADVICE if options.advice else FAULTS
+    sound, planted = judge_sound(kinds, options.seeds, faults), judge_planted(kinds, options.seeds, faults)
     table = as_markdown(planted, sound, options.seeds)
     print(table)
     if options.markdown is not None:
         page = options.markdown.read_text(encoding="utf-8")
-        head, _, rest = page.partition(BEGIN)
-        options.markdown.write_text(head + table + rest.partition(END)[2], encoding="utf-8")
+        head, begin, rest = page.partition(BEGIN_ADVICE if options.advice else BEGIN)
+        options.markdown.write_text(head + begin + table + END + rest.partition(END)[2], encoding="utf-8")
     write_figures(options.json, about, {"seeds": options.seeds, "planted": planted, "sound": sound, "speed": speed()})
 
 

@@ -174,6 +174,24 @@ def fragment(share: float) -> Callable[[Kind, int], Log | None]:
     return plant
 
 
+def a_few_good(share: float, spreads: float) -> Callable[[Kind, int], Log | None]:
+    """This share of the episodes, at least three, earned more: by these spreads of returns and of returns per step."""
+
+    def plant(kind: Kind, seed: int) -> Log | None:
+        rows = kind.make(seed)
+        episodes = len(rows.starts)
+        if episodes < 20:
+            return None
+        count = max(3, round(share * episodes))
+        chosen = np.random.default_rng([seed, 21]).choice(episodes, count, replace=False)
+        returns = np.add.reduceat(rows.rewards.astype(np.float64), rows.starts)
+        more = np.zeros(episodes)
+        more[chosen] = spreads * np.maximum(returns.std() / rows.lengths, (returns / rows.lengths).std())[chosen]
+        return as_log(replace(rows, rewards=rows.rewards + np.repeat(more, rows.lengths)))
+
+    return plant
+
+
 def told_by_the_row(rows: Rows) -> float:
     """Share of the actions' variance that ten near rows of other episodes tell: turned around, noise stays noise."""
     chosen = np.unique(np.linspace(0, len(rows.rewards) - 1, 3_000).astype(int))
@@ -382,3 +400,12 @@ FAULTS: dict[str, Fault] = {
 }
 
 __all__ = ["FAULTS", "KINDS", "Fault", "as_log"]
+
+# What is no fault but worth knowing: findings that are notes, judged apart from those that blame a log.
+ADVICE: dict[str, Fault] = {
+    "a few episodes earned far more": Fault(
+        ("few-good-episodes",),
+        {f"{share:.0%}, by {n} spreads": a_few_good(share, n) for share in (0.03, 0.1) for n in (6, 10)},
+        ONE_EPISODE,
+    )
+}

@@ -1,5 +1,7 @@
 """Rows drawn by the return of their episode, or from the best episodes alone."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import jax.random as jr
@@ -74,6 +76,19 @@ def test_weights_by_return_are_those_of_the_formula():
     np.testing.assert_allclose(weights, np.repeat(expected, [2, 1, 3]), rtol=1e-6)
     assert effective_rows(np.array([1.0, 1.0, 0.0])) == 2.0
     assert effective_rows(np.array([3.0, 1.0])) == pytest.approx(1.6)
+
+
+def test_returns_are_compared_per_step_where_the_recorder_decided_how_long_episodes_are():
+    """Costs of 1, 3 and 2 a row: the fragment of one row has the highest return, a long episode the best rows."""
+    dataset = log([-10.0, -3.0, -10.0], [10, 1, 5])
+    by_step = RowChoice(sampling="return", return_temperature=0.5, return_per="step")
+    expected = np.repeat(np.exp([0.0, -2.0, -1.0]), [10, 1, 5])
+    np.testing.assert_allclose(row_weights(dataset, View(choice=by_step)), expected, rtol=1e-6)
+    best_fragment = RowChoice(sampling="best", best_share=0.05)
+    for choice, rows in ((best_fragment, [10]), (replace(best_fragment, return_per="step"), range(10))):
+        best = columns_of(dataset, choice)
+        assert isinstance(best, Transitions)
+        np.testing.assert_array_equal(best.observations[:, 0], rows)
 
 
 def starting_at(starts, returns) -> Dataset:
@@ -242,6 +257,7 @@ def test_returns_that_are_no_numbers_and_mixed_batches_are_refused(sampling):
         ({"sampling": "best", "best_share": 1.5}, "best_share=1.5"),
         ({"sampling": "advantage", "return_temperature": -1.0}, "return_temperature=-1.0 must be positive"),
         ({"sampling": "worst"}, "sampling='worst' is not known"),
+        ({"sampling": "return", "return_per": "row"}, "return_per='row' is not known"),
         ({"sampling": "best", "critic_sampling": "best"}, "critic_sampling='best' is not known"),
     ],
 )

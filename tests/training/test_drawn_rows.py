@@ -112,6 +112,9 @@ def test_critics_beside_are_recorded_and_every_choice_is_told_in_words(dataset):
     assert best["critic_sampling"] == "uniform"
     assert words.startswith("the actor's batches are drawn from the 32 rows of the 4 best episodes (return at least")
     assert words.endswith("; those of the critics from all rows alike")
+    found, words = told(sampling="best", best_share=0.4, return_per="step")
+    assert found["return_per"] == "step" and "episodes (return per step at least" in words
+    assert found["lowest_return"] == pytest.approx(np.sort(dataset.episode_returns() / 8)[-4])
     found, words = told(sampling="advantage", return_temperature=0.5)
     assert words.startswith("batches are drawn by return ") and words.endswith(" rows of 64")
     assert "critic_sampling" not in found

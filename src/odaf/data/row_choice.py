@@ -6,7 +6,7 @@ Losses stay what they are.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -32,6 +32,9 @@ class RowChoice:
     """Of sampling="best": episodes are taken whole, by return from the best down, until they hold this share."""
     best_of: Literal["rows", "episodes"] = "rows"
     """What best_share is a share of: the rows of the log, or its episodes."""
+    return_per: Literal["episode", "step"] = "episode"
+    """What episodes are compared by: their sum of rewards, or its mean over their rows, for logs where the recorder
+    decided how long an episode is."""
     critic_sampling: Literal["same", "uniform"] = "same"
     """Rows that critics learn from: those of `sampling`, or "uniform" all alike beside an actor that learns from those
     of `sampling`, so that critics see what is bad."""
@@ -44,31 +47,24 @@ class RowChoice:
         """
         if self.sampling == "uniform":
             return UNIFORM
+        if self.sampling not in ("return", "advantage", "best"):
+            raise ConfigError(
+                f"sampling={self.sampling!r} is not known; known are 'uniform', 'return', 'advantage', 'best'"
+            )
         if self.critic_sampling not in ("same", "uniform"):
             raise ConfigError(f"critic_sampling={self.critic_sampling!r} is not known; known are 'same', 'uniform'")
-        if self.sampling in ("return", "advantage"):
-            if not 0.0 < self.return_temperature < math.inf:
-                raise ConfigError(
-                    f"return_temperature={self.return_temperature} must be positive; a very large one is "
-                    "sampling='uniform'"
-                )
-            return RowChoice(
-                sampling=self.sampling,
-                return_temperature=self.return_temperature,
-                critic_sampling=self.critic_sampling,
-            )
+        if self.return_per not in ("episode", "step"):
+            raise ConfigError(f"return_per={self.return_per!r} is not known; known are 'episode', 'step'")
+        kept = RowChoice(sampling=self.sampling, critic_sampling=self.critic_sampling, return_per=self.return_per)
         if self.sampling == "best":
             if not 0.0 < self.best_share <= 1.0:
                 raise ConfigError(f"best_share={self.best_share} must lie in (0, 1]: the share that is learned from")
-            return RowChoice(
-                sampling="best",
-                best_share=self.best_share,
-                best_of=self.best_of,
-                critic_sampling=self.critic_sampling,
+            return replace(kept, best_share=self.best_share, best_of=self.best_of)
+        if not 0.0 < self.return_temperature < math.inf:
+            raise ConfigError(
+                f"return_temperature={self.return_temperature} must be positive; a very large one is sampling='uniform'"
             )
-        raise ConfigError(
-            f"sampling={self.sampling!r} is not known; known are 'uniform', 'return', 'advantage', 'best'"
-        )
+        return replace(kept, return_temperature=self.return_temperature)
 
 
 UNIFORM = RowChoice()
@@ -88,12 +84,18 @@ def chosen_episodes(
     return np.sort(ranked[: int(np.searchsorted(np.cumsum(sizes), wanted)) + 1])
 
 
+def compared_returns(dataset: Dataset, choice: RowChoice) -> Float[np.ndarray, " episodes"]:
+    """The episodes' returns, or with return_per="step" what a row of each earned on average."""
+    returns = dataset.episode_returns()
+    return returns / dataset.episode_lengths() if choice.return_per == "step" else returns
+
+
 def episode_merits(dataset: Dataset, choice: RowChoice) -> Float[np.ndarray, " episodes"]:
-    """What episodes are compared by: their returns, or with sampling="advantage" G - V(s_0) of `start_values`.
+    """What episodes are chosen by: their returns, or with sampling="advantage" G - V(s_0) of `start_values`.
 
     Advantages that are only what rounding left of the returns are all 0: then a start says the whole return.
     """
-    returns = dataset.episode_returns()
+    returns = compared_returns(dataset, choice)
     if choice.sampling != "advantage":
         return returns
     merits = _finite(returns) - start_values(returns, dataset.observations[dataset.episode_starts]).values
@@ -132,7 +134,7 @@ def drawn_from(dataset: Dataset, choice: RowChoice) -> Dataset:
         )
     if choice.sampling != "best" or choice.critic_sampling == "uniform":
         return dataset
-    return dataset.select(chosen_episodes(dataset.episode_returns(), dataset.episode_lengths(), choice))
+    return dataset.select(chosen_episodes(compared_returns(dataset, choice), dataset.episode_lengths(), choice))
 
 
 def _finite(returns: np.ndarray) -> np.ndarray:

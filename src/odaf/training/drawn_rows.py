@@ -6,7 +6,7 @@ import numpy as np
 
 from odaf.algorithms.base import Algorithm
 from odaf.data.dataset import Dataset
-from odaf.data.row_choice import chosen_episodes, effective_rows
+from odaf.data.row_choice import chosen_episodes, compared_returns, effective_rows
 from odaf.data.sampling import row_weights
 from odaf.data.start_values import start_values
 from odaf.errors import ConfigError
@@ -30,7 +30,7 @@ def drawn_rows(algorithm: Algorithm, dataset: Dataset) -> dict[str, Any]:
     if choice.sampling == "uniform":
         return {}
     weights = row_weights(dataset, view)
-    returns = dataset.episode_returns()
+    returns = compared_returns(dataset, choice)
     chosen = chosen_episodes(returns, dataset.episode_lengths(), choice)
     effective, least = effective_rows(weights), FEWEST_BATCHES * algorithm.batch_size
     if effective < least:
@@ -51,6 +51,8 @@ def drawn_rows(algorithm: Algorithm, dataset: Dataset) -> dict[str, Any]:
     }
     if choice.sampling == "advantage":
         found["explained_by_start"] = start_values(returns, dataset.observations[dataset.episode_starts]).explained
+    if choice.return_per != "episode":
+        found["return_per"] = choice.return_per
     if choice.critic_sampling != "same":
         found["critic_sampling"] = choice.critic_sampling
     return {DRAWN: found}
@@ -60,10 +62,11 @@ def in_words(drawn: dict[str, Any]) -> str:
     """What `drawn_rows` found, as a sentence for the user."""
     whose = "the actor's batches" if "critic_sampling" in drawn else "batches"
     beside = "; those of the critics from all rows alike" if "critic_sampling" in drawn else ""
+    measure = "return per step" if "return_per" in drawn else "return"
     if drawn["sampling"] == "best":
         found = f"the {drawn['rows']:,} rows of the {drawn['episodes']:,} best episodes"
-        return f"{whose} are drawn from {found} (return at least {drawn['lowest_return']:,.4g}){beside}"
-    by = "return"
+        return f"{whose} are drawn from {found} ({measure} at least {drawn['lowest_return']:,.4g}){beside}"
+    by = measure
     if drawn["sampling"] == "advantage":
         share = drawn["explained_by_start"]
         by += (
