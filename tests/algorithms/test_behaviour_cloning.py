@@ -1,5 +1,7 @@
 """Behaviour cloning against its formula."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import jax.random as jr
@@ -28,6 +30,41 @@ def test_the_loss_is_the_mean_over_rows_and_action_dimensions():
         loss, gradient = jax.value_and_grad(cloning_loss)(actor, batch)
         np.testing.assert_allclose(loss, expected(actor), rtol=1e-10)
         tiny.assert_slopes(gradient, expected, actor)
+
+
+def test_the_gaussian_maximises_the_likelihood_and_acts_by_its_mean():
+    with tiny.exactly():
+        learner, batch = BehaviourCloning(hidden_sizes=(5, 4), actor_kind="gaussian"), tiny.batch()
+        actor = tiny.filled(jax.eval_shape(lambda: learner.init(jr.key(0), tiny.SPEC, ()).actor.now))
+
+        def expected(actor) -> float:
+            mean, log_std = np.tanh(networks.mlp(actor.network, batch.observations)), networks.numbers(actor.log_std)
+            off = (networks.numbers(batch.actions) - mean) / np.exp(log_std)
+            return float(np.mean(np.sum(0.5 * off**2 + log_std + 0.5 * np.log(2.0 * np.pi), axis=-1)))
+
+        loss, gradient = jax.value_and_grad(cloning_loss)(actor, batch)
+        np.testing.assert_allclose(loss, expected(actor), rtol=1e-10)
+        tiny.assert_slopes(gradient, expected, actor)
+        acts = np.tanh(networks.mlp(actor.network, batch.observations))
+        np.testing.assert_allclose(actor.mode(batch.observations), acts, rtol=1e-10)
+
+
+def test_the_spread_of_the_gaussian_is_that_of_what_cannot_be_cloned():
+    """Actions with noise of 0.5 and 0.1 around 0 that the states do not say."""
+    learner = BehaviourCloning(hidden_sizes=(4,), learning_rate=2e-2, batch_size=512, actor_kind="gaussian")
+    noise = np.random.default_rng(0).normal(size=(512, 2)) * [0.5, 0.1]
+    batch = tiny.batch(512)
+    batch = dataclasses.replace(
+        batch, observations=jnp.zeros_like(batch.observations), actions=jnp.asarray(noise, jnp.float32)
+    )
+
+    @jax.jit
+    def train(state):
+        return jax.lax.scan(lambda s, _: (learner.update(s, batch, jr.key(0))[0], None), state, length=600)[0]
+
+    actor = train(_initial(learner)).actor.now
+    np.testing.assert_allclose(jnp.exp(actor.log_std), noise.std(axis=0), rtol=0.03)
+    np.testing.assert_allclose(actor.mode(batch.observations)[0], noise.mean(axis=0), atol=0.02)
 
 
 def test_training_finds_a_policy_that_can_be_cloned():

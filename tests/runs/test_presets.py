@@ -21,7 +21,9 @@ from odaf.runs import methods, presets
 
 ALL = (
     "behaviour-cloning",
+    "behaviour-cloning-10-percent",
     "behaviour-cloning-best",
+    "behaviour-cloning-gaussian",
     "edac",
     "odaf",
     "odaf-demo",
@@ -66,6 +68,15 @@ def test_every_preset_loads_and_survives_its_own_configuration(name):
     learner = presets.load(name)
     assert config.from_dict(config.to_dict(learner)) == learner
     assert type(learner) is (BehaviourCloning if name.startswith("behaviour-cloning") else EnsembleSAC)
+
+
+def test_ten_percent_cloning_takes_a_tenth_of_the_episodes_and_the_gaussian_all_rows():
+    tenth = presets.load("behaviour-cloning-10-percent")
+    assert (tenth.sampling, tenth.best_of, tenth.best_share) == ("best", "episodes", 0.1)
+    assert (tenth.hidden_sizes, tenth.learning_rate, tenth.batch_size) == ((256, 256), 3e-4, 256)
+    assert (tenth.normaliser_epsilon, tenth.actor_kind) == (1e-3, "deterministic")
+    gaussian = presets.load("behaviour-cloning-gaussian")
+    assert (gaussian.actor_kind, gaussian.sampling) == ("gaussian", "uniform")
 
 
 def test_sac_n_is_as_published():
