@@ -8,6 +8,7 @@ import jax.random as jr
 import pytest
 
 from golden import tiny
+from odaf.algorithms.cql import CQL
 from odaf.algorithms.ensemble_sac import EnsembleSAC
 from odaf.algorithms.iql import IQL
 from odaf.algorithms.rebrac import ReBRAC
@@ -18,6 +19,7 @@ SMALL = {"hidden_sizes": (4,), "batch_size": tiny.ROWS}
 # Where the critics step before the actor, the actor hears of their rows through them; these settings close its ears.
 LEARNERS = [
     EnsembleSAC(**SMALL, num_critics=2),
+    CQL(actor_hidden_sizes=(4,), critic_hidden_sizes=(4,), batch_size=tiny.ROWS, num_actions=2),
     TruncatedQuantileCritics(**SMALL, num_quantiles=4, dropped=1),
     TD3BC(**SMALL, value_weight=0.0, actor_delay=1),
     ReBRAC(**SMALL, critic_learning_rate=0.0, actor_delay=1),

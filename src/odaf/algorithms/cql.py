@@ -70,6 +70,7 @@ class CQL(Algorithm[CQLState]):
     """Conservative Q-learning: soft actor-critic with a penalty on the values of actions that the log does not hold."""
 
     kind: ClassVar[str] = "cql"
+    draws_apart: ClassVar[bool] = True
     structural: ClassVar[frozenset[str]] = frozenset({"normaliser_epsilon"})
 
     conservative_weight: float = 10.0
@@ -259,7 +260,7 @@ class CQL(Algorithm[CQLState]):
         """Temperature, actor, multiplier and critics step from the same old parameters; then the slow copies move."""
         key_actor, key_critic = jr.split(key)
         actor_gradient, (log_density, actor_metrics) = jax.grad(self.actor_loss, has_aux=True)(
-            state.actor.now, state, batch, key_actor
+            state.actor.now, state, batch.for_actor, key_actor
         )
         critic_gradient, penalty, critic_metrics = self.critic_gradient(state, batch, key_critic)
         target_entropy = float(-batch.actions.shape[1]) if self.target_entropy is None else self.target_entropy
