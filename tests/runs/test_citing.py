@@ -130,7 +130,7 @@ def test_what_has_no_papers_says_so_and_what_is_unknown_is_named(monkeypatch: py
     assert "learner behaviour-cloning: has no citation of its own" in citing.bibliography(["behaviour-cloning"])
     with pytest.raises(ConfigError, match="is no preset, learner, term or run directory; did you mean 'odaf-rorl'?"):
         citing.parts_of("odaf-rrol")
-    with pytest.raises(ConfigError, match="known are: behaviour-cloning, .*edac, "):
+    with pytest.raises(ConfigError, match="known are: .*behaviour-cloning, .*edac, "):
         citing.parts_of("xyzzy")
 
 
