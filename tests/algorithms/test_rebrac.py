@@ -10,9 +10,7 @@ import pytest
 from battery import learners
 from golden import networks, tiny
 from odaf.algorithms.rebrac import ReBRAC, actor_loss
-from odaf.algorithms.twin_delayed import TwinDelayedState
 from odaf.components.critics import CriticEnsemble
-from odaf.components.trained import Trained
 from odaf.data.normalisation import Normaliser
 from odaf.data.sampling import training_columns
 from odaf.data.transitions import Transitions
@@ -30,18 +28,6 @@ LEARNER = ReBRAC(
     actor_learning_rate=1e-2,
     critic_learning_rate=2e-2,
 )
-
-
-def _state() -> TwinDelayedState:
-    """Four different random networks."""
-    shape = jax.eval_shape(lambda: LEARNER.init(jr.key(0), tiny.SPEC, ()))
-    empty = tiny.filled(shape, size=0.0)
-    actor, critics = shape.actor, shape.critics
-    return dataclasses.replace(
-        empty,
-        actor=Trained(tiny.filled(actor.now, 1), tiny.filled(actor.slow, 2), empty.actor.moments),
-        critics=Trained(tiny.filled(critics.now, 3), tiny.filled(critics.slow, 4), empty.critics.moments),
-    )
 
 
 def _batch() -> Transitions:
@@ -79,7 +65,7 @@ def _actor_loss(actor, critics, batch, size: float) -> float:
 
 def test_the_target_takes_the_distance_from_the_logged_next_action_off_where_there_is_one():
     with tiny.exactly():
-        state, batch = _state(), _batch()
+        state, batch = tiny.twin_delayed_state(LEARNER), _batch()
         with tiny.recorded() as drawn:
             y = LEARNER.target(state, batch, jr.key(5))
         np.testing.assert_allclose(y, _target(state, batch, np.asarray(drawn[0])), rtol=1e-9)
@@ -92,7 +78,7 @@ def test_the_target_takes_the_distance_from_the_logged_next_action_off_where_the
 
 def test_the_actor_is_pulled_to_the_log_and_climbs_the_lower_value_in_units_of_its_size():
     with tiny.exactly():
-        state, batch = _state(), _batch()
+        state, batch = tiny.twin_delayed_state(LEARNER), _batch()
         actor, critics = state.actor.now, CriticEnsemble(state.critics.now)
         both = networks.q_values(critics, batch.observations, _mode(actor, batch.observations))
         level = tiny.floats([[0.0], [np.median(both[0] - both[1])]])  # brings the second critic to the first one
@@ -110,7 +96,7 @@ def test_the_actor_is_pulled_to_the_log_and_climbs_the_lower_value_in_units_of_i
 
 def test_critics_step_each_time_the_actor_and_all_slow_copies_every_second_and_rates_are_their_own():
     with tiny.exactly():
-        state, batch = _state(), _batch()
+        state, batch = tiny.twin_delayed_state(LEARNER), _batch()
         with tiny.recorded() as drawn:
             one, first = LEARNER.update(state, batch, jr.key(1))
         two, second = LEARNER.update(one, batch, jr.key(2))

@@ -1,7 +1,5 @@
 """TD3+BC against its formulas, in float64 NumPy."""
 
-import dataclasses
-
 import jax
 import jax.random as jr
 import numpy as np
@@ -9,24 +7,10 @@ import pytest
 
 from golden import networks, tiny
 from odaf.algorithms.td3_bc import TD3BC, actor_loss
-from odaf.algorithms.twin_delayed import TwinDelayedState
 from odaf.components.critics import CriticEnsemble
-from odaf.components.trained import Trained
 from odaf.errors import ConfigError
 
 LEARNER = TD3BC(hidden_sizes=(5, 4), batch_size=tiny.ROWS, discount=0.9, target_rate=0.25, learning_rate=1e-2)
-
-
-def _state() -> TwinDelayedState:
-    """Four different random networks."""
-    shape = jax.eval_shape(lambda: LEARNER.init(jr.key(0), tiny.SPEC, ()))
-    empty = tiny.filled(shape, size=0.0)
-    actor, critics = shape.actor, shape.critics
-    return dataclasses.replace(
-        empty,
-        actor=Trained(tiny.filled(actor.now, 1), tiny.filled(actor.slow, 2), empty.actor.moments),
-        critics=Trained(tiny.filled(critics.now, 3), tiny.filled(critics.slow, 4), empty.critics.moments),
-    )
 
 
 def _mode(actor, observations) -> np.ndarray:
@@ -53,7 +37,7 @@ def _actor_loss(actor, critics, batch, size: float) -> float:
 
 def test_target_critics_and_actor_follow_their_formulas():
     with tiny.exactly():
-        state, batch = _state(), tiny.batch()
+        state, batch = tiny.twin_delayed_state(LEARNER), tiny.batch()
         with tiny.recorded() as drawn:
             y = LEARNER.target(state, batch, jr.key(5))
         large = 20.0 * np.asarray(drawn[0])  # the noise must be cut somewhere, and the action too
@@ -75,7 +59,7 @@ def test_target_critics_and_actor_follow_their_formulas():
 
 def test_the_actor_and_all_slow_copies_move_at_every_second_update_against_the_new_critics():
     with tiny.exactly():
-        state, batch = _state(), tiny.batch()
+        state, batch = tiny.twin_delayed_state(LEARNER), tiny.batch()
         one, first = LEARNER.update(state, batch, jr.key(1))
         two, second = LEARNER.update(one, batch, jr.key(2))
     tiny.assert_same_bits((one.actor, one.critics.slow), (state.actor, state.critics.slow))
@@ -93,7 +77,7 @@ def test_the_actor_and_all_slow_copies_move_at_every_second_update_against_the_n
 
 def test_the_critics_take_one_step_down_the_sum_of_their_squared_errors():
     with tiny.exactly():
-        state, batch = _state(), tiny.batch()
+        state, batch = tiny.twin_delayed_state(LEARNER), tiny.batch()
         with tiny.recorded() as drawn:
             one, metrics = LEARNER.update(state, batch, jr.key(1))
         y = _target(state, batch, np.asarray(drawn[0]))

@@ -9,7 +9,7 @@ import jax.random as jr
 import numpy as np
 import pytest
 
-from golden import networks, tiny
+from golden import behaviour, networks, tiny
 from odaf.components.behaviour_models import (
     BehaviourConfig,
     fit_behaviour_cvae,
@@ -27,32 +27,18 @@ def _model():
     return tiny.filled(structure, 4)
 
 
-def _misfit(model, states, actions, noise) -> np.ndarray:
-    """l(s, a) row by row and number by number."""
-    states, actions, noise = map(networks.numbers, (states, actions, noise))
-    output = networks.mlp(model.cvae.encoder, np.concatenate([states, actions], axis=1))
-    mean, std = output[:, :LATENTS], np.exp(np.minimum(np.maximum(output[:, LATENTS:], -4.0), 15.0))
-    decoded = np.tanh(networks.mlp(model.cvae.decoder, np.concatenate([states, mean + std * noise], axis=1)))
-    divergence = -0.5 * (1.0 + np.log(std**2) - mean**2 - std**2)
-    rows = []
-    for row in range(len(states)):
-        residual = sum((decoded[row] - actions[row]) ** 2) / tiny.ACT_DIM
-        rows.append(residual + 0.5 * sum(divergence[row]) / LATENTS)
-    return np.array(rows)
-
-
 def test_misfit_and_loss_are_means_of_both_parts_and_gradients_reach_the_action_by_both_ways():
     with tiny.exactly():
         model, batch = _model(), tiny.batch()
         noise = model.draw_noise(jr.key(1), tiny.ROWS)
         states, actions = batch.observations, batch.actions
-        expected = _misfit(model, states, actions, noise)
+        expected = behaviour.misfit(model, states, actions, noise)
         np.testing.assert_allclose(model.misfit(states, actions, noise), expected, rtol=1e-9)
         loss, gradient = jax.value_and_grad(lambda m: m.loss(states, actions, noise))(model)
         np.testing.assert_allclose(loss, expected.mean(), rtol=1e-9)
-        tiny.assert_slopes(gradient, lambda m: _misfit(m, states, actions, noise).mean(), model)
+        tiny.assert_slopes(gradient, lambda m: behaviour.misfit(m, states, actions, noise).mean(), model)
         by_action = jax.grad(lambda a: model.loss(states, a, noise))(actions)
-        tiny.assert_slopes(by_action, lambda a: _misfit(model, states, a, noise).mean(), actions)
+        tiny.assert_slopes(by_action, lambda a: behaviour.misfit(model, states, a, noise).mean(), actions)
 
 
 def test_the_spread_of_z_is_cut_while_training_and_z_itself_while_drawing():
@@ -62,7 +48,7 @@ def test_the_spread_of_z_is_cut_while_training_and_z_itself_while_drawing():
         low = eqx.tree_at(lambda m: m.cvae.encoder.biases[-1], model, replace_fn=lambda b: b.at[LATENTS:].add(-100.0))
         one = jnp.ones((tiny.ROWS, LATENTS))
         np.testing.assert_allclose(
-            low.misfit(states, batch.actions, one), _misfit(low, states, batch.actions, one), rtol=1e-9
+            low.misfit(states, batch.actions, one), behaviour.misfit(low, states, batch.actions, one), rtol=1e-9
         )
         np.testing.assert_allclose(low.cvae.encode(states, batch.actions)[1], np.full((tiny.ROWS, LATENTS), -4.0))
         wide, at_half = model.before_tanh(states, 7.0 * one), model.before_tanh(states, 0.5 * one)

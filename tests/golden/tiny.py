@@ -4,7 +4,7 @@ import contextlib
 import dataclasses
 import functools
 from collections.abc import Callable, Iterator
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
@@ -18,6 +18,7 @@ from odaf.algorithms.ensemble_state import EnsembleState
 from odaf.algorithms.terms import Context
 from odaf.components.critics import CriticEnsemble
 from odaf.components.dynamics import DynamicsConfig, DynamicsModel, untrained
+from odaf.components.networks import MLP
 from odaf.components.trained import Trained
 from odaf.data.dataset import Dataset
 from odaf.data.spec import Spec
@@ -123,6 +124,27 @@ def state_of(learner: EnsembleSAC, *, models=(), bounds=(-np.inf, np.inf), size:
             tuple(term.init(model) for term, model in zip(terms, models or ((),) * len(terms), strict=True))
         ),
     )
+
+
+def twin_delayed_state(learner: Any, step: int = 0) -> Any:
+    """A state of TD3 or a relative with four different random networks, and random models of the log."""
+    key, other = jax.random.key(0), jax.random.key(1)
+    shape = eqx.filter_eval_shape(lambda: learner.init(key, SPEC, learner.untrained(other, SPEC)))
+    empty = filled(shape, size=0.0)
+    actor, critics = shape.actor, shape.critics
+    return dataclasses.replace(
+        empty,
+        step=empty.step + step,
+        actor=Trained(filled(actor.now, 1), filled(actor.slow, 2), empty.actor.moments),
+        critics=Trained(filled(critics.now, 3), filled(critics.slow, 4), empty.critics.moments),
+        models=filled(shape.models, 5),
+    )
+
+
+def levelled(networks: MLP, values: np.ndarray) -> MLP:
+    """Critics whose medians over these rows, of which they had the values, are 0: each is the lowest one somewhere."""
+    *hidden, output = networks.biases
+    return dataclasses.replace(networks, biases=(*hidden, output - floats(np.median(values, axis=1))[:, None]))
 
 
 def critics(norm: str = "layer", num_critics: int = 3) -> CriticEnsemble:

@@ -38,6 +38,9 @@ def test_a_method_is_its_learner_and_its_terms():
     assert keys("iql") == {"learner iql": ["kostrikov2022iql"]}
     assert keys("cql") == {"learner cql": ["kumar2020cql", "haarnoja2018sac"]}
     assert keys("rebrac") == {"learner rebrac": ["tarasov2023rebrac"]}
+    assert keys("spot") == {"learner spot": ["wu2022spot"]}
+    assert keys("svr") == {"learner svr": ["mao2023svr"]}
+    assert keys("scas") == {"learner scas": ["mao2024scas"]}
     assert keys("brac-p") == keys("brac-v") == {"learner brac": ["wu2019brac"]}
     assert keys("bcq") == {"learner bcq": ["fujimoto2019bcq"]}
     assert keys("bear") == {"learner bear": ["kumar2019bear"]}

@@ -142,6 +142,29 @@ REBRAC = Citation(
     _NEURIPS,
     "2305.09836",
 )
+SPOT = Citation(
+    "wu2022spot",
+    ("Jialong Wu", "Haixu Wu", "Zihan Qiu", "Jianmin Wang", "Mingsheng Long"),
+    "Supported Policy Optimization for Offline Reinforcement Learning",
+    2022,
+    _NEURIPS,
+    "2202.06239",
+)
+SVR = Citation(
+    "mao2023svr",
+    ("Yixiu Mao", "Hongchang Zhang", "Chen Chen", "Yi Xu", "Xiangyang Ji"),
+    "Supported Value Regularization for Offline Reinforcement Learning",
+    2023,
+    _NEURIPS,
+)
+SCAS = Citation(
+    "mao2024scas",
+    ("Yixiu Mao", "Qi Wang", "Chen Chen", "Yun Qu", "Xiangyang Ji"),
+    "Offline Reinforcement Learning with OOD State Correction and OOD Action Suppression",
+    2024,
+    _NEURIPS,
+    "2410.19400",
+)
 BCQ = Citation(
     "fujimoto2019bcq",
     ("Scott Fujimoto", "David Meger", "Doina Precup"),

@@ -52,8 +52,8 @@ def replace(algorithm: Algorithm, changes: Mapping[str, Any], source: str = "ove
 
     Args:
         algorithm: the learner to start from.
-        changes: values by dotted name: `num_critics`, or a term's field behind the term's name, as in `outcome.weight`
-            and `outcome.dynamics.kind`.
+        changes: values by dotted name: `num_critics`, a field of one of its tables, as in `behaviour.steps`, or a
+            term's field behind the term's name, as in `outcome.weight` and `outcome.dynamics.kind`.
         source: named in error messages.
 
     Raises:
@@ -64,7 +64,7 @@ def replace(algorithm: Algorithm, changes: Mapping[str, Any], source: str = "ove
         path = name.split(".")
         terms = {term["name"]: term for term in plain.get("terms", [])}
         place: dict[str, Any] = plain
-        if len(path) > 1:
+        if len(path) > 1 and not isinstance(plain.get(path[0]), dict):
             if path[0] not in terms:
                 known = ", ".join(terms) or "none"
                 raise ConfigError(f"{source}: {name!r} names no term of this learner; its terms: {known}")

@@ -30,7 +30,7 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray, PyTree
 from odaf.algorithms import citations
 from odaf.algorithms.base import Algorithm, LearnerState, Metrics, PretrainProgress
 from odaf.algorithms.return_scale import scale_of_returns
-from odaf.components.adam import cosine_fall
+from odaf.components.adam import falling_rate
 from odaf.components.critics import CriticEnsemble
 from odaf.components.losses import ensemble_td_gradient, expectile_loss
 from odaf.components.networks import MLP, init_mlp
@@ -222,10 +222,7 @@ class IQL(Algorithm[IQLState]):
 
     def actor_rate(self, step: Int[Array, ""]) -> Number:
         """The actor's step size after `step` updates."""
-        if self.actor_decay_updates == 0:
-            return self.learning_rate
-        done = jnp.minimum(step, self.actor_decay_updates) / self.actor_decay_updates
-        return self.learning_rate * cosine_fall(math.pi * done)
+        return falling_rate(self.learning_rate, step, self.actor_decay_updates)
 
     def actor(self, state: IQLState) -> Actor:
         """pi."""

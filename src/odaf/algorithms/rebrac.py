@@ -25,7 +25,7 @@ from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 from odaf.algorithms import citations
 from odaf.algorithms.base import Metrics
 from odaf.algorithms.twin_delayed import TwinDelayed, TwinDelayedState
-from odaf.components.critics import CriticEnsemble, init_critics
+from odaf.components.critics import OUTPUT_BOUND, CriticEnsemble, init_critics
 from odaf.components.networks import init_mlp
 from odaf.components.numbers import Number
 from odaf.components.policies import HEAD_BOUND, DeterministicActor
@@ -34,8 +34,6 @@ from odaf.data.spec import Spec
 from odaf.data.transitions import Transitions
 from odaf.data.view import View
 from odaf.errors import ConfigError
-
-CRITIC_OUTPUT_BOUND = 3e-3  # first weights of the critics' last layer lie in plus or minus this
 
 
 def squared_distance(
@@ -100,9 +98,7 @@ class ReBRAC(TwinDelayed):
         key_actor, key_critics = jr.split(key)
         sizes = (spec.obs_dim, *self.hidden_sizes, spec.act_dim)
         actor = DeterministicActor(init_mlp(key_actor, sizes, output_bound=HEAD_BOUND))
-        critics = init_critics(
-            key_critics, spec.obs_dim, spec.act_dim, self.hidden_sizes, 2, "layer", CRITIC_OUTPUT_BOUND
-        )
+        critics = init_critics(key_critics, spec.obs_dim, spec.act_dim, self.hidden_sizes, 2, "layer", OUTPUT_BOUND)
         return TwinDelayedState.begin(actor, critics, ("actor/loss", "actor/distance", "actor/value"))
 
     def target(self, state: TwinDelayedState, batch: Transitions, key: PRNGKeyArray) -> Float[Array, " rows"]:

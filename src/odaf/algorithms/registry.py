@@ -22,6 +22,9 @@ from odaf.algorithms.cql import CQL
 from odaf.algorithms.ensemble_sac import EnsembleSAC
 from odaf.algorithms.iql import IQL
 from odaf.algorithms.rebrac import ReBRAC
+from odaf.algorithms.scas import SCAS
+from odaf.algorithms.spot import SPOT
+from odaf.algorithms.svr import SVR
 from odaf.algorithms.td3_bc import TD3BC
 from odaf.algorithms.terms import BUILT_IN, Term
 from odaf.errors import ConfigError
@@ -90,7 +93,7 @@ ALGORITHMS: Registry[type[Algorithm]] = Registry(
     Algorithm,
     lambda entry: getattr(entry, "kind", None),
     "odaf.algorithms",
-    (EnsembleSAC, BehaviourCloning, TD3BC, IQL, ReBRAC, BCQ, BEAR, BRAC, CQL),
+    (EnsembleSAC, BehaviourCloning, TD3BC, IQL, ReBRAC, SPOT, SVR, SCAS, BCQ, BEAR, BRAC, CQL),
 )
 TERMS: Registry[type[Term]] = Registry(Term, lambda entry: getattr(entry, "name", None), "odaf.terms", BUILT_IN)
 

@@ -34,8 +34,7 @@ def actor_loss(
 ) -> tuple[Float[Array, ""], Metrics]:
     """L_pi; gradients reach the actor only."""
     actions = actor.mode(batch.observations)
-    first = CriticEnsemble(jax.tree.map(lambda leaf: leaf[:1], critics.networks))
-    values = first.as_constants(batch.observations, actions)[0]
+    values = critics.first().as_constants(batch.observations, actions)[0]
     cloning = jnp.mean(jnp.square(actions - batch.actions))
     size = jax.lax.stop_gradient(jnp.mean(jnp.abs(values)))
     loss = cloning - value_weight / size * jnp.mean(values)

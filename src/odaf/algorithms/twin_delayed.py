@@ -17,13 +17,15 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray, PyTree
 
 from odaf.algorithms.base import Algorithm, LearnerState, Metrics
 from odaf.algorithms.numbers import is_off
-from odaf.components.critics import CriticEnsemble
+from odaf.components.adam import falling_rate
+from odaf.components.critics import CriticEnsemble, init_critics
 from odaf.components.losses import ensemble_td_gradient
 from odaf.components.networks import MLP
 from odaf.components.numbers import Number
-from odaf.components.policies import DeterministicActor
-from odaf.components.targets import polyak
+from odaf.components.policies import DeterministicActor, init_deterministic_actor
+from odaf.components.targets import bellman_target, polyak
 from odaf.components.trained import Trained
+from odaf.data.spec import Spec
 from odaf.data.transitions import Transitions
 from odaf.data.view import View
 from odaf.errors import ConfigError
@@ -172,3 +174,61 @@ class TwinDelayed(Algorithm[TwinDelayedState]):
     def values(self, state: TwinDelayedState) -> CriticEnsemble:
         """All critics."""
         return CriticEnsemble(state.critics.now)
+
+
+@dataclasses.dataclass(frozen=True)
+class TwinDelayedWithModel(TwinDelayed):
+    """A relative that fits a model to the log beforehand: any number of critics, and rates for each side."""
+
+    num_critics: int = 2
+    """K, the number of Q-functions."""
+    reward_shift: float = 0.0
+    """Added to every reward, such as -1 in mazes whose reward is 1 at the goal."""
+    actor_learning_rate: float = 3e-4
+    """Step size of Adam for the actor."""
+    actor_decay_updates: int = 0
+    """Updates in which the actor's step size falls to 0 along half a cosine; 0 keeps it."""
+    critic_learning_rate: float = 3e-4
+    """Step size of Adam for the critics."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.num_critics < 1:
+            raise ConfigError(f"num_critics={self.num_critics} must be at least 1")
+        if self.actor_decay_updates < 0:
+            raise ConfigError(f"actor_decay_updates={self.actor_decay_updates} must not be negative")
+
+    def begin(
+        self,
+        key: PRNGKeyArray,
+        spec: Spec,
+        metrics: tuple[str, ...],
+        models: PyTree,
+        output_bounds: tuple[float | None, float | None] = (None, None),
+    ) -> TwinDelayedState:
+        """Random networks without layer normalisation, slow copies equal to them, fresh optimisers.
+
+        Args:
+            key: random key.
+            spec: sizes.
+            metrics: names of those of the actor's loss.
+            models: what stays as it is.
+            output_bounds: the last layers of actor and critics are uniform in plus or minus this; None draws them like
+                hidden ones.
+        """
+        key_actor, key_critics = jr.split(key)
+        sizes, (actor_bound, critic_bound) = self.hidden_sizes, output_bounds
+        actor = init_deterministic_actor(key_actor, spec.obs_dim, spec.act_dim, sizes, actor_bound)
+        critics = init_critics(
+            key_critics, spec.obs_dim, spec.act_dim, sizes, self.num_critics, "none", critic_bound, hidden_bias=0.0
+        )
+        return TwinDelayedState.begin(actor, critics, metrics, models)
+
+    def backed_up(self, batch: Transitions, next_values: Float[Array, " rows"]) -> Float[Array, " rows"]:
+        """y of the values at s'."""
+        return bellman_target(batch.rewards + self.reward_shift, batch.terminated, next_values, self.discount)
+
+    def actor_rate(self, step: Int[Array, ""]) -> Number:
+        """The actor's step size in the update after `step` updates; it falls with the steps of the actor."""
+        taken = step // self.actor_delay * self.actor_delay
+        return falling_rate(self.actor_learning_rate, taken, self.actor_decay_updates)

@@ -1,8 +1,10 @@
 """Adam as two functions of arrays, so that learners carry nothing but its moments from update to update."""
 
+import math
+
 import jax.numpy as jnp
 import optax
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float, Int, PyTree
 
 from odaf.components.numbers import Number
 
@@ -15,6 +17,11 @@ def initial_moments(parameters: PyTree) -> optax.OptState:
 def cosine_fall(angle: Float[Array, ""]) -> Float[Array, ""]:
     """Factor of a step size that falls along half a cosine: 1 at an angle of 0, 0 at pi."""
     return 0.5 * (1.0 + jnp.cos(angle))
+
+
+def falling_rate(rate: Number, step: Int[Array, ""], steps: int) -> Number:
+    """A step size after `step` of the `steps` in which it falls to 0 along half a cosine; 0 steps keep it as it is."""
+    return rate if steps == 0 else rate * cosine_fall(math.pi * (jnp.minimum(step, steps) / steps))
 
 
 def adam_step(

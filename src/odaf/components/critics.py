@@ -13,6 +13,7 @@ from odaf.components.networks import MLP, Norm, Products, init_mlp
 from odaf.components.priors import Priors
 
 ROOT_EPSILON = 1e-12
+OUTPUT_BOUND = 3e-3  # small first weights of a last layer lie in plus or minus this
 UNROLLED = 10  # members that are compiled side by side on several cores
 
 Member = TypeVar("Member", bound=PyTree)
@@ -86,6 +87,10 @@ class CriticEnsemble(eqx.Module):
         """Q_k of a single member for several actions a state; its prior gets no gradient."""
         values = self.networks.of_draws(observations, actions)[..., 0]
         return values if self.priors is None else values + self.priors.values_of_many(observations, actions)
+
+    def first(self) -> "CriticEnsemble":
+        """Q_1 alone."""
+        return jax.tree.map(lambda leaf: leaf[:1], self)
 
     def as_constants(
         self, observations: Float[Array, "rows obs_dim"], actions: Float[Array, "rows act_dim"]

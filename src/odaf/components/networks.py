@@ -10,8 +10,11 @@ import jax.numpy as jnp
 import jax.random as jr
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from odaf.components.numbers import Number
+
 Norm = Literal["none", "layer"]
 Products = Literal["float32", "tensorfloat32", "bfloat16"]
+Factors = tuple[Float[Array, "rows _width"], ...]  # of hidden units, one array a hidden layer
 LAYER_NORM_EPSILON = 1e-5
 
 
@@ -29,17 +32,18 @@ class MLP(eqx.Module):
     activation: Literal["relu", "silu"] = eqx.field(static=True)
     products: Products = eqx.field(static=True, default="float32")  # what hidden layers round their factors to
 
-    def __call__(self, x: Float[Array, "*any rows fan_in"]) -> Float[Array, "*out rows fan_out"]:
+    def __call__(self, x: Float[Array, "*any rows fan_in"], factors: Factors = ()) -> Float[Array, "*out rows fan_out"]:
         """Map rows through the network.
 
         Args:
             x: `(rows, in)`, or `(members, rows, in)` for a stack whose members see different rows.
+            factors: of the hidden units after their activation, such as those of `dropout_factors`; () for none.
 
         Returns:
             `(rows, out)` for one network, `(members, rows, out)` for a stack; a stack given `(rows, in)` shows the
             same rows to every member.
         """
-        return self._onwards(_product(x, self.weights[0], "float32") + _over_rows(self.biases[0]))
+        return self._onwards(_product(x, self.weights[0], "float32") + _over_rows(self.biases[0]), factors)
 
     def of_draws(
         self, shared: Float[Array, "rows shared_in"], drawn: Float[Array, "draws rows drawn_in"]
@@ -59,13 +63,15 @@ class MLP(eqx.Module):
         sums = (shared @ first[:width] + _over_rows(self.biases[0]))[None] + drawn @ first[width:]
         return self._onwards(sums.reshape(-1, first.shape[1])).reshape(*drawn.shape[:2], -1)
 
-    def _onwards(self, x: Float[Array, "*any rows width"]) -> Float[Array, "*out rows fan_out"]:
+    def _onwards(self, x: Float[Array, "*any rows width"], factors: Factors = ()) -> Float[Array, "*out rows fan_out"]:
         """From the first layer's sums to the output."""
         last = len(self.weights) - 1
         for index in range(last):
             if self.scales:
                 x = _layer_norm(x) * _over_rows(self.scales[index]) + _over_rows(self.offsets[index])
             x = jax.nn.relu(x) if self.activation == "relu" else jax.nn.silu(x)
+            if factors:
+                x = x * factors[index]
             products = self.products if index + 1 < last else "float32"
             x = _product(x, self.weights[index + 1], products) + _over_rows(self.biases[index + 1])
         return x
@@ -221,6 +227,16 @@ def init_mlp(
         activation=activation,
         products=products,
     )
+
+
+def dropout_factors(key: PRNGKeyArray, rate: Number, rows: int, widths: tuple[int, ...]) -> Factors:
+    """0 for a share `rate` of hidden units, drawn for each row and layer, and 1 / (1 - rate) for the others.
+
+    Source:
+        Srivastava et al. 2014, scaled while training, so that nothing changes afterwards.
+    """
+    kept = (jr.bernoulli(jr.fold_in(key, layer), 1.0 - rate, (rows, width)) for layer, width in enumerate(widths))
+    return tuple(jnp.where(unit, 1.0 / (1.0 - rate), 0.0) for unit in kept)
 
 
 def _orthogonal(

@@ -13,7 +13,7 @@ from odaf.components.distributions import (
     gaussian_log_density,
     sample_tanh_gaussian,
 )
-from odaf.components.networks import MLP, init_mlp
+from odaf.components.networks import MLP, Factors, init_mlp
 from odaf.errors import ConfigError
 
 LOG_STD_MIN, LOG_STD_MAX = -5.0, 2.0
@@ -224,6 +224,12 @@ class DeterministicActor(Actor):
         del key
         return jnp.tanh(self.network(observations)), carry
 
+    def with_dropout(
+        self, observations: Float[Array, "rows obs_dim"], factors: Factors
+    ) -> Float[Array, "rows act_dim"]:
+        """mu(s) with its hidden units multiplied, as losses may have it; an actor acts without."""
+        return jnp.tanh(self.network(observations, factors))
+
 
 def init_gaussian_actor(key: PRNGKeyArray, obs_dim: int, act_dim: int, hidden_sizes: tuple[int, ...]) -> GaussianActor:
     """Draw an actor whose first actions are near zero with a standard deviation near one."""
@@ -232,7 +238,8 @@ def init_gaussian_actor(key: PRNGKeyArray, obs_dim: int, act_dim: int, hidden_si
 
 
 def init_deterministic_actor(
-    key: PRNGKeyArray, obs_dim: int, act_dim: int, hidden_sizes: tuple[int, ...]
+    key: PRNGKeyArray, obs_dim: int, act_dim: int, hidden_sizes: tuple[int, ...], output_bound: float | None = None
 ) -> DeterministicActor:
-    """Draw a deterministic actor with zero hidden biases."""
-    return DeterministicActor(init_mlp(key, (obs_dim, *hidden_sizes, act_dim), hidden_bias=0.0))
+    """Draw a deterministic actor with zero hidden biases; its last layer as `init_mlp` says."""
+    sizes = (obs_dim, *hidden_sizes, act_dim)
+    return DeterministicActor(init_mlp(key, sizes, hidden_bias=0.0, output_bound=output_bound))

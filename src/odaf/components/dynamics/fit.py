@@ -18,7 +18,14 @@ from odaf.data.normalisation import Normaliser
 
 
 def fit_dynamics(
-    config: DynamicsConfig, dataset: Dataset, normaliser: Normaliser, key: PRNGKeyArray, progress: Progress
+    config: DynamicsConfig,
+    dataset: Dataset,
+    normaliser: Normaliser,
+    key: PRNGKeyArray,
+    progress: Progress,
+    *,
+    use: str = "the outcome term judges states the system would not reach",
+    remedy: str = "leave out the outcome term (outcome.weight=0)",
 ) -> tuple[DynamicsModel, dict[str, Any]]:
     """Train a model on most episodes and measure it on the rest.
 
@@ -28,6 +35,8 @@ def fit_dynamics(
         normaliser: observation scaling of the learner that will use the model.
         key: random key for the split, the initial networks and the batches.
         progress: called with (steps done, steps in all) after every stretch.
+        use: what a model that knows nothing does to the learner, for the warning.
+        remedy: how to do without a model, for error messages.
 
     Returns:
         The frozen model, and a report: mean squared hold-out error in normalised units (over all dimensions and by
@@ -38,14 +47,7 @@ def fit_dynamics(
         DatasetError: the log has fewer than two rows whose successor is known.
     """
     key_split, key_init, key_bootstrap, key_train = jr.split(key, 4)
-    rows = split_columns(
-        dataset,
-        normaliser,
-        config.holdout,
-        key_split,
-        "dynamics model",
-        "leave out the outcome term (outcome.weight=0)",
-    )
+    rows = split_columns(dataset, normaliser, config.holdout, key_split, "dynamics model", remedy)
     model = untrained(config, key_init, dataset.obs_dim, dataset.act_dim, members=config.members)
     model = _with_output_scaling(model, rows)
     table, members = None, model.bootstraps
@@ -71,7 +73,7 @@ def fit_dynamics(
     )
     errors = of_rows(_errors, fitted.model, rows.columns, rows.train).mean(axis=0)
     model = fitted.model.finished(errors, config.elites)
-    return model, _report(config, model, rows, fitted)
+    return model, _report(config, model, rows, fitted, use)
 
 
 def _loss(model: DynamicsModel, batch: Rows, key: PRNGKeyArray) -> tuple[Float[Array, ""], dict[str, Float[Array, ""]]]:
@@ -119,7 +121,7 @@ def _trainable(model: DynamicsModel) -> DynamicsModel:
 
 
 def _report(
-    config: DynamicsConfig, model: DynamicsModel, rows: SplitRows, fitted: Fitted[DynamicsModel]
+    config: DynamicsConfig, model: DynamicsModel, rows: SplitRows, fitted: Fitted[DynamicsModel], use: str
 ) -> dict[str, Any]:
     observations, _, next_observations = rows.measured()
     predicted = of_rows(_expected, model, rows.columns, rows.train, rows.last_measured)
@@ -141,7 +143,6 @@ def _report(
     if not error < naive:
         report["warnings"].append(
             f"dynamics model ({config.kind}): its hold-out error {error:.3g} is no better than predicting 'no change' "
-            f"({naive:.3g}), so the outcome term judges states the system would not reach; train it longer "
-            "(dynamics.steps) or use dynamics.residual=True"
+            f"({naive:.3g}), so {use}; train it longer (dynamics.steps) or use dynamics.residual=True"
         )
     return report
