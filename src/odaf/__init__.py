@@ -31,6 +31,7 @@ _HOME_OF = {
     "Rollouts": "odaf.evaluation",
     "RunSettings": "odaf.training.settings",
     "Run": "odaf.evaluation",
+    "StateDeviation": "odaf.algorithms.terms",
     "ValueSmoothing": "odaf.algorithms.terms",
     "combinations": "odaf.runs.many",
     "compare": "odaf.report.comparison",
@@ -80,6 +81,7 @@ if TYPE_CHECKING:
         OODPessimism,
         OutcomePenalty,
         PolicySmoothing,
+        StateDeviation,
         ValueSmoothing,
     )
     from odaf.data import Dataset
@@ -114,6 +116,7 @@ __all__ = [
     "Rollouts",
     "Run",
     "RunSettings",
+    "StateDeviation",
     "ValueSmoothing",
     "__version__",
     "combinations",

@@ -11,6 +11,7 @@ import pytest
 
 from golden import networks, tiny
 from odaf.algorithms.cql import CQL, CQLState
+from odaf.components import chunks
 from odaf.components.conservative import SoftMaximum, soft_maximum
 from odaf.components.critics import CriticEnsemble
 from odaf.components.trained import Trained
@@ -95,8 +96,9 @@ VARIANTS = {
 
 
 @pytest.mark.parametrize("name", VARIANTS)
-def test_the_critics_follow_their_formula(name):
+def test_the_critics_follow_their_formula(name, monkeypatch):
     learner = VARIANTS[name]
+    monkeypatch.setattr(chunks, "ROWS_AT_ONCE", 25)  # 10 actions a state: two states at a time, three times
     with tiny.exactly():
         state, batch = _state(learner), tiny.batch()
         with tiny.recorded() as drawn, tiny.recorded("uniform") as uniform:

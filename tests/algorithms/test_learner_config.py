@@ -19,6 +19,7 @@ from odaf.algorithms.terms import (
     OODPessimism,
     OutcomePenalty,
     PolicySmoothing,
+    StateDeviation,
     ValueSmoothing,
 )
 from odaf.components.dynamics import DynamicsConfig
@@ -102,6 +103,7 @@ other_terms = (
     | _settings(InverseDynamicsAlignment, weight=amounts, state_noise=amounts, model=inverse_models)
     | _settings(InverseDynamicsValues, weight=amounts, num_actions=counts, model=inverse_models)
     | _settings(Conservative, weight=amounts, num_actions=counts)
+    | _settings(StateDeviation, weight=amounts, num_draws=counts, kernel_width=st.none() | rates)
 )
 learners = _settings(
     EnsembleSAC,

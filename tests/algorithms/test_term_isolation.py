@@ -19,8 +19,10 @@ from odaf.algorithms.terms import (
     OODPessimism,
     OutcomePenalty,
     PolicySmoothing,
+    StateDeviation,
     ValueSmoothing,
 )
+from odaf.components.dynamics import untrained
 from odaf.components.inverse_dynamics import InverseDynamicsConfig, untrained_inverse
 from odaf.runs import presets
 
@@ -35,6 +37,7 @@ SMALL_TERMS = {
     "inverse_dynamics_values.model.hidden_sizes": (5, 4),
     "inverse_dynamics_values.model.latent_dim": 3,
 }
+TRANSITIONS = tiny.dynamics_config(kind="cvae", encoder="transition")
 INVERSE = InverseDynamicsConfig(hidden_sizes=(5, 4), latent_dim=3)
 
 
@@ -86,6 +89,9 @@ def _model(name: str):
         return tiny.dynamics_model(tiny.dynamics_config())
     if name.startswith("inverse_dynamics"):
         return tiny.filled(jax.eval_shape(lambda: untrained_inverse(INVERSE, jr.key(0), tiny.OBS_DIM, tiny.ACT_DIM)), 6)
+    if name == "state_deviation":
+        transitions = jax.eval_shape(lambda: untrained(TRANSITIONS, jr.key(0), tiny.OBS_DIM, 0))
+        return tiny.dynamics_model(tiny.dynamics_config(kind="ensemble")), tiny.filled(transitions, 6)
     return ()
 
 
@@ -107,6 +113,7 @@ EACH = (
     InverseDynamicsAlignment(model=INVERSE),
     InverseDynamicsValues(num_actions=2, model=INVERSE),
     Conservative(num_actions=2),
+    StateDeviation(num_draws=2, dynamics=tiny.dynamics_config(kind="ensemble"), transitions=TRANSITIONS),
 )
 
 

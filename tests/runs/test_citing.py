@@ -37,6 +37,7 @@ def test_a_method_is_its_learner_and_its_terms():
     assert keys("td3-bc") == {"learner td3-bc": ["fujimoto2021td3bc"]}
     assert keys("iql") == {"learner iql": ["kostrikov2022iql"]}
     assert keys("cql") == {"learner cql": ["kumar2020cql", "haarnoja2018sac"]}
+    assert keys("atac") == {"learner atac": ["cheng2022atac"]}
     assert keys("rebrac") == {"learner rebrac": ["tarasov2023rebrac"]}
     assert keys("spot") == {"learner spot": ["wu2022spot"]}
     assert keys("svr") == {"learner svr": ["mao2023svr"]}

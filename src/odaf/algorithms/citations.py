@@ -189,6 +189,21 @@ BRAC = Citation(
     "",
     "1911.11361",
 )
+ATAC = Citation(
+    "cheng2022atac",
+    ("Ching-An Cheng", "Tengyang Xie", "Nan Jiang", "Alekh Agarwal"),
+    "Adversarially Trained Actor Critic for Offline Reinforcement Learning",
+    2022,
+    "International Conference on Machine Learning",
+    "2202.02446",
+)
+SDC = Citation(
+    "zhang2022sdc",
+    ("Hongchang Zhang", "Jianzhun Shao", "Yuhang Jiang", "Shuncheng He", "Guanwen Zhang", "Xiangyang Ji"),
+    "State Deviation Correction for Offline Reinforcement Learning",
+    2022,
+    "AAAI Conference on Artificial Intelligence",
+)
 CLONING = Citation(
     "pomerleau1988alvinn",
     ("Dean A. Pomerleau",),

@@ -32,7 +32,8 @@ from odaf.algorithms import citations
 from odaf.algorithms.base import Algorithm, LearnerState, Metrics, PretrainProgress
 from odaf.algorithms.return_scale import scale_of_returns
 from odaf.components.candidates import best_soft_value
-from odaf.components.conservative import SoftMaximum, candidate_actions, values_and_gaps
+from odaf.components.chunks import gradient_over_chunks
+from odaf.components.conservative import Candidates, SoftMaximum, draw_candidates, values_and_gaps
 from odaf.components.critics import CriticEnsemble, over_members
 from odaf.components.duals import Dual, ascended
 from odaf.components.losses import soft_actor_loss, td_loss, temperature_loss
@@ -214,22 +215,21 @@ class CQL(Algorithm[CQLState]):
         """Gradient of L_Q in the critics, and the mean of their penalties for the multiplier."""
         key_target, key_candidates = jr.split(key)
         y = self.target(state, batch, key_target)
-        candidates, log_density = candidate_actions(key_candidates, state.actor.now, batch, self.num_actions)
+        candidates = draw_candidates(key_candidates, state.actor.now, batch, self.num_actions).in_chunks()
         multiplier = 1.0 if state.log_multiplier is None else jnp.exp(state.log_multiplier.now)
 
-        def loss(critic: CriticEnsemble) -> tuple[Float[Array, ""], tuple[Array, ...]]:
-            values, gaps = values_and_gaps(
-                critic, batch, candidates, log_density, self.penalty_temperature, self.soft_maximum
-            )
-            error, penalty = td_loss(values, y), self.penalty(gaps)
-            return error + multiplier * penalty, (error, penalty, values, jnp.mean(gaps))
+        def loss(critic: CriticEnsemble, chunk: tuple[Candidates, Array]) -> tuple[Float[Array, ""], tuple[Array, ...]]:
+            rows, targets = chunk
+            values, gaps = values_and_gaps(critic, rows, self.penalty_temperature, self.soft_maximum)
+            error, penalty = td_loss(values, targets), self.penalty(gaps)
+            return error + multiplier * penalty, (error, penalty, values, gaps)
 
         def member(critic: CriticEnsemble) -> tuple[CriticEnsemble, tuple[Array, ...]]:
-            return jax.grad(loss, has_aux=True)(critic)
+            return gradient_over_chunks(loss, critic, (candidates, y.reshape(candidates.observations.shape[:2])))
 
         gradient, (errors, penalties, values, gaps) = over_members(member, CriticEnsemble(state.critics.now))
         metrics = {
-            "critic/loss": jnp.sum(errors),
+            "critic/loss": jnp.sum(jnp.mean(errors, axis=1)),
             "critic/mean": jnp.mean(values) / state.reward_scale,
             "critic/min": jnp.min(values) / state.reward_scale,
             "critic/max": jnp.max(values) / state.reward_scale,

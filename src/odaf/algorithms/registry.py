@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator, Mapping
 from importlib.metadata import entry_points
 from typing import Any, Generic, TypeVar
 
+from odaf.algorithms.atac import ATAC
 from odaf.algorithms.base import Algorithm
 from odaf.algorithms.bcq import BCQ
 from odaf.algorithms.bear import BEAR
@@ -93,7 +94,7 @@ ALGORITHMS: Registry[type[Algorithm]] = Registry(
     Algorithm,
     lambda entry: getattr(entry, "kind", None),
     "odaf.algorithms",
-    (EnsembleSAC, BehaviourCloning, TD3BC, IQL, ReBRAC, SPOT, SVR, SCAS, BCQ, BEAR, BRAC, CQL),
+    (EnsembleSAC, BehaviourCloning, TD3BC, IQL, ReBRAC, SPOT, SVR, SCAS, BCQ, BEAR, BRAC, CQL, ATAC),
 )
 TERMS: Registry[type[Term]] = Registry(Term, lambda entry: getattr(entry, "name", None), "odaf.terms", BUILT_IN)
 

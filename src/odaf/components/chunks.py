@@ -76,3 +76,28 @@ def _first(chunks: PyTree) -> PyTree:
 
 
 mean_over_chunks.defvjp(_forward, _backward)
+
+
+def gradient_over_chunks(
+    loss: Callable[[Any, Any], tuple[Float[Array, ""], PyTree[Array]]], parameters: PyTree, chunks: PyTree[Array]
+) -> tuple[Any, Any]:
+    """Gradient of the mean over chunks of a loss, and what goes with the loss of each chunk.
+
+    As `mean_over_chunks`, where the gradient itself is asked for: the loss may be any function.
+
+    Args:
+        loss: of the parameters and one chunk: the loss, and arrays to keep.
+        parameters: what the loss is differentiated in; arrays of floating-point numbers.
+        chunks: arrays with a leading axis [chunks].
+
+    Returns:
+        The gradient, and the arrays with a leading axis [chunks].
+    """
+
+    def add(total: Any, chunk: Any) -> tuple[Any, Any]:
+        gradient, kept = jax.grad(loss, has_aux=True)(parameters, chunk)
+        return jax.tree.map(jnp.add, total, gradient), kept
+
+    total, kept = jax.lax.scan(add, jax.tree.map(jnp.zeros_like, parameters), chunks)
+    count = jax.tree.leaves(chunks)[0].shape[0]
+    return jax.tree.map(lambda leaf: leaf / count, total), kept

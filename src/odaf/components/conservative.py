@@ -10,11 +10,13 @@ drawn at s' too. Actions and densities are constants. log(3 n), which no gradien
 import math
 from typing import Literal
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import jax.random as jr
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from odaf.components.chunks import draws_at_once
 from odaf.components.critics import CriticEnsemble
 from odaf.components.numbers import Number
 from odaf.components.policies import SquashedGaussianActor, draw_actions
@@ -24,10 +26,33 @@ from odaf.data.transitions import Transitions
 SoftMaximum = Literal["all", "threes"]
 
 
-def candidate_actions(
+class Candidates(eqx.Module):
+    """States and the actions that are valued at each: the a_i, and last the logged one. Constants."""
+
+    observations: Float[Array, "*chunks rows obs_dim"]
+    actions: Float[Array, "*chunks three_n_and_one rows act_dim"]
+    log_density: Float[Array, "*chunks three_n rows"]  # log p_i
+
+    def in_chunks(self) -> "Candidates":
+        """The same with a first axis [chunks]: states go through a critic so many at once as its cache has room for."""
+        count = self.actions.shape[1] // draws_at_once(self.actions.shape[1], self.actions.shape[0])
+        return Candidates(
+            self.observations.reshape(count, -1, self.observations.shape[1]),
+            chunks_of_rows(self.actions, count),
+            chunks_of_rows(self.log_density, count),
+        )
+
+
+def chunks_of_rows(columns: Float[Array, "draws rows *width"], count: int) -> Float[Array, "chunks draws part *width"]:
+    """Rows in the second axis cut into `count` equal parts along a new first axis."""
+    draws, rows, *width = columns.shape
+    return jnp.moveaxis(columns.reshape(draws, count, rows // count, *width), 1, 0)
+
+
+def draw_candidates(
     key: PRNGKeyArray, actor: SquashedGaussianActor, batch: Transitions, num_actions: int
-) -> tuple[Float[Array, "three_n rows act_dim"], Float[Array, "three_n rows"]]:
-    """The a_i and log p_i of every row: n uniform actions, n of the policy at s', n of the policy at s; constants."""
+) -> Candidates:
+    """The a_i and log p_i of every row: n uniform actions, n of the policy at s', n of the policy at s."""
     key_uniform, key_here, key_next = jr.split(key, 3)
     actor = frozen(actor)
     rows, act_dim = batch.actions.shape
@@ -36,8 +61,9 @@ def candidate_actions(
     here, density_here = draw_actions(actor, batch.observations, jr.normal(key_here, shape))
     following, density_following = draw_actions(actor, batch.next_observations, jr.normal(key_next, shape))
     density_uniform = jnp.full((num_actions, rows), -act_dim * math.log(2.0), uniform.dtype)
-    return (
-        jnp.concatenate([uniform, following, here]),
+    return Candidates(
+        batch.observations,
+        jnp.concatenate([uniform, following, here, batch.actions[None]]),
         jnp.concatenate([density_uniform, density_following, density_here]),
     )
 
@@ -65,23 +91,15 @@ def soft_maximum(
 
 
 def values_and_gaps(
-    critic: CriticEnsemble,
-    batch: Transitions,
-    candidates: Float[Array, "three_n rows act_dim"],
-    log_density: Float[Array, "three_n rows"],
-    temperature: Number = 1.0,
-    over: SoftMaximum = "all",
+    critic: CriticEnsemble, candidates: Candidates, temperature: Number = 1.0, over: SoftMaximum = "all"
 ) -> tuple[Float[Array, " rows"], Float[Array, " rows"]]:
     """Q_k(s, a) and gap_k(s, a) of a single member, from one call for all actions of a state.
 
     Args:
         critic: one member, as inside `over_members`.
-        batch: rows of the log.
-        candidates: a_i, of `candidate_actions`.
-        log_density: log p_i.
+        candidates: the whole, or one chunk.
         temperature: T.
         over: see `soft_maximum`.
     """
-    values = critic.values_of_many(batch.observations, jnp.concatenate([candidates, batch.actions[None]]))
-    logged = values[-1]
-    return logged, soft_maximum(values[:-1], log_density, temperature, over) - logged
+    values = critic.values_of_many(candidates.observations, candidates.actions)
+    return values[-1], soft_maximum(values[:-1], candidates.log_density, temperature, over) - values[-1]

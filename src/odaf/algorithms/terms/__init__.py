@@ -9,6 +9,7 @@ from odaf.algorithms.terms.inverse_dynamics_values import InverseDynamicsValues 
 from odaf.algorithms.terms.ood_pessimism import OODPessimism as OODPessimism
 from odaf.algorithms.terms.outcome_penalty import OutcomePenalty as OutcomePenalty
 from odaf.algorithms.terms.policy_smoothing import PolicySmoothing as PolicySmoothing
+from odaf.algorithms.terms.state_deviation import StateDeviation as StateDeviation
 from odaf.algorithms.terms.value_smoothing import ValueSmoothing as ValueSmoothing
 
 BUILT_IN: tuple[type[Term], ...] = (
@@ -20,4 +21,5 @@ BUILT_IN: tuple[type[Term], ...] = (
     InverseDynamicsAlignment,
     InverseDynamicsValues,
     Conservative,
+    StateDeviation,
 )

@@ -7,7 +7,7 @@ their own (OSR, SDC); CQL itself, with its other parts, is `odaf.algorithms.cql`
 """
 
 import dataclasses
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray, PyTree
@@ -15,7 +15,8 @@ from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 from odaf.algorithms import citations
 from odaf.algorithms.base import Metrics
 from odaf.algorithms.terms.base import Context, Term
-from odaf.components.conservative import candidate_actions, values_and_gaps
+from odaf.components.chunks import mean_over_chunks
+from odaf.components.conservative import Candidates, draw_candidates, values_and_gaps
 from odaf.components.critics import CriticEnsemble, over_members
 from odaf.errors import ConfigError
 
@@ -46,11 +47,17 @@ class Conservative(Term):
     def critic_loss(self, context: Context, state: PyTree, key: PRNGKeyArray) -> tuple[Float[Array, ""], Metrics]:
         """weight * sum over critics of the mean gap; its gradient reaches the critics only."""
         del state
-        batch = context.batch
-        candidates, log_density = candidate_actions(key, context.actor, batch, self.num_actions)
+        candidates = draw_candidates(key, context.actor, context.batch, self.num_actions).in_chunks()
 
-        def gap(critic: CriticEnsemble) -> Float[Array, ""]:
-            return jnp.mean(values_and_gaps(critic, batch, candidates, log_density)[1])
+        def mean(critic: CriticEnsemble) -> Float[Array, ""]:
+            found: Any = mean_over_chunks(_mean_gap, critic, candidates, ())
+            return found[0]
 
-        gaps = over_members(gap, context.critics)
+        gaps = over_members(mean, context.critics)
         return self.weight * jnp.sum(gaps), {"conservative/gap": jnp.mean(gaps)}
+
+
+def _mean_gap(
+    critic: CriticEnsemble, candidates: Candidates, constants: tuple[()]
+) -> tuple[Float[Array, ""], tuple[()]]:
+    return jnp.mean(values_and_gaps(critic, candidates)[1]), constants

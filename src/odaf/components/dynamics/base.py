@@ -111,6 +111,18 @@ class DynamicsModel(eqx.Module):
     ) -> Float[Array, "rows obs_dim"]:
         """One next state a row, differentiable in state and action."""
 
+    def predict_draws(
+        self,
+        observations: Float[Array, "draws rows obs_dim"],
+        actions: Float[Array, "draws rows act_dim"],
+        key: PRNGKeyArray,
+    ) -> Float[Array, "draws rows obs_dim"]:
+        """Several next states a row, each with noise of its own; differentiable in state and action."""
+        draws, rows, width = observations.shape
+        noise = self.draw_noise(key, draws * rows)
+        flat = self.predict(observations.reshape(-1, width), actions.reshape(draws * rows, actions.shape[2]), noise)
+        return flat.reshape(draws, rows, width)
+
     @abc.abstractmethod
     def expected(
         self, observations: Float[Array, "rows obs_dim"], actions: Float[Array, "rows act_dim"]

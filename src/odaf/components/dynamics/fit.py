@@ -1,5 +1,6 @@
 """Pre-training of a dynamics model, with its error on episodes it never saw."""
 
+import dataclasses
 from typing import Any
 
 import equinox as eqx
@@ -26,6 +27,8 @@ def fit_dynamics(
     *,
     use: str = "the outcome term judges states the system would not reach",
     remedy: str = "leave out the outcome term (outcome.weight=0)",
+    field: str = "dynamics",
+    sees_actions: bool = True,
 ) -> tuple[DynamicsModel, dict[str, Any]]:
     """Train a model on most episodes and measure it on the rest.
 
@@ -37,6 +40,8 @@ def fit_dynamics(
         progress: called with (steps done, steps in all) after every stretch.
         use: what a model that knows nothing does to the learner, for the warning.
         remedy: how to do without a model, for error messages.
+        field: where the learner or the term holds the model's settings, for the same messages.
+        sees_actions: False fits a model of what follows a state whatever the action, whose actions have no dimensions.
 
     Returns:
         The frozen model, and a report: mean squared hold-out error in normalised units (over all dimensions and by
@@ -47,8 +52,11 @@ def fit_dynamics(
         DatasetError: the log has fewer than two rows whose successor is known.
     """
     key_split, key_init, key_bootstrap, key_train = jr.split(key, 4)
-    rows = split_columns(dataset, normaliser, config.holdout, key_split, "dynamics model", remedy)
-    model = untrained(config, key_init, dataset.obs_dim, dataset.act_dim, members=config.members)
+    rows = split_columns(dataset, normaliser, config.holdout, key_split, f"{field} model", remedy)
+    if not sees_actions:
+        states, actions, next_states = rows.columns
+        rows = dataclasses.replace(rows, columns=(states, actions[:, :0], next_states))
+    model = untrained(config, key_init, dataset.obs_dim, rows.columns[1].shape[1], members=config.members)
     model = _with_output_scaling(model, rows)
     table, members = None, model.bootstraps
     if members is not None:
@@ -68,12 +76,12 @@ def fit_dynamics(
         stopping=rows.stopping(_mean_error, config.patience),
         key=key_train,
         progress=progress,
-        what=f"dynamics model ({config.kind})",
-        remedy="lower dynamics.learning_rate or check the log for outliers with `odaf data info`",
+        what=f"{field} model ({config.kind})",
+        remedy=f"lower {field}.learning_rate or check the log for outliers with `odaf data info`",
     )
     errors = of_rows(_errors, fitted.model, rows.columns, rows.train).mean(axis=0)
     model = fitted.model.finished(errors, config.elites)
-    return model, _report(config, model, rows, fitted, use)
+    return model, _report(config, model, rows, fitted, use, field)
 
 
 def _loss(model: DynamicsModel, batch: Rows, key: PRNGKeyArray) -> tuple[Float[Array, ""], dict[str, Float[Array, ""]]]:
@@ -121,7 +129,12 @@ def _trainable(model: DynamicsModel) -> DynamicsModel:
 
 
 def _report(
-    config: DynamicsConfig, model: DynamicsModel, rows: SplitRows, fitted: Fitted[DynamicsModel], use: str
+    config: DynamicsConfig,
+    model: DynamicsModel,
+    rows: SplitRows,
+    fitted: Fitted[DynamicsModel],
+    use: str,
+    field: str,
 ) -> dict[str, Any]:
     observations, _, next_observations = rows.measured()
     predicted = of_rows(_expected, model, rows.columns, rows.train, rows.last_measured)
@@ -142,7 +155,7 @@ def _report(
     }
     if not error < naive:
         report["warnings"].append(
-            f"dynamics model ({config.kind}): its hold-out error {error:.3g} is no better than predicting 'no change' "
-            f"({naive:.3g}), so {use}; train it longer (dynamics.steps) or use dynamics.residual=True"
+            f"{field} model ({config.kind}): its hold-out error {error:.3g} is no better than predicting 'no change' "
+            f"({naive:.3g}), so {use}; train it longer ({field}.steps) or use {field}.residual=True"
         )
     return report

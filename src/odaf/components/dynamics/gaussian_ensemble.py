@@ -59,6 +59,20 @@ class GaussianEnsembleDynamics(DynamicsModel):
         mean, log_variance = (jnp.take_along_axis(v, pick, axis=0)[0] for v in (mean, log_variance))
         return self.to_state(observations, mean + jnp.exp(0.5 * log_variance) * normal)
 
+    def predict_draws(
+        self,
+        observations: Float[Array, "draws rows obs_dim"],
+        actions: Float[Array, "draws rows act_dim"],
+        key: PRNGKeyArray,
+    ) -> Float[Array, "draws rows obs_dim"]:
+        """Every draw from a random member, the same for all of its rows, so that no other member is asked."""
+        key_member, key_normal = jr.split(key)
+        members = jr.randint(key_member, observations.shape[:1], 0, self.bootstraps)
+        chosen = jax.tree.map(lambda leaf: leaf[members] if eqx.is_array(leaf) else leaf, self.network)
+        drawn = eqx.tree_at(lambda model: model.network, self, chosen)
+        mean, log_variance = drawn.moments(observations, actions)
+        return self.to_state(observations, mean + jnp.exp(0.5 * log_variance) * jr.normal(key_normal, mean.shape))
+
     def expected(
         self, observations: Float[Array, "rows obs_dim"], actions: Float[Array, "rows act_dim"]
     ) -> Float[Array, "rows obs_dim"]:
