@@ -1,0 +1,185 @@
+"""Scores of d3rlpy's learners and of ours: the same rows, settings, number of updates and evaluator, on one core.
+
+Each run leaves one JSON file, and a run that has left one is not made again. The policies of both sides are played by
+our evaluator; d3rlpy's weights are copied into an actor of ours. Seconds are those of the processor, of
+training alone: on our side with compilation, on d3rlpy's with its own way of drawing batches.
+"""
+
+import json
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import odaf
+from benchmarks.machine import machine
+from benchmarks.parity import weights
+from benchmarks.parity.settings import LEARNERS, NORMALISER_EPSILON
+from odaf.components.policies import Actor, DeterministicActor
+from odaf.data.normalisation import Normaliser
+from odaf.environments.reference_returns import normalised_score
+from odaf.evaluation.rollouts import Rollouts, rollout
+from odaf.runs import presets
+from odaf.training.policy import Policy
+
+FOLDER = Path(__file__).with_name("scores")
+ROOT = Path(__file__).resolve().parents[2]
+EPISODES = 20
+SIDES = ("odaf", "d3rlpy")
+
+
+def ours(name: str) -> Any:
+    """Our learner with the common settings."""
+    return presets.load(name, {**LEARNERS[name], "normaliser_epsilon": NORMALISER_EPSILON})
+
+
+def train_ours(name: str, dataset: odaf.Dataset, seed: int, updates: int, folder: Path) -> tuple[Policy, dict]:
+    """A policy and how long its training took."""
+    start, cpu_start = time.perf_counter(), time.process_time()
+    run = odaf.fit(
+        ours(name),
+        dataset,
+        directory=folder / "run",
+        steps=updates,
+        seeds=(seed,),
+        checkpoint_every=updates,
+        progress=False,
+    )
+    seconds = {"seconds": time.perf_counter() - start, "cpu_seconds": time.process_time() - cpu_start}
+    return run.policy(seed), {**seconds, "version": odaf.__version__}
+
+
+def train_peer(
+    name: str, dataset: odaf.Dataset, seed: int, updates: int, folder: Path, python: Path
+) -> tuple[Policy, dict]:
+    """The same of d3rlpy, in its own interpreter."""
+    normaliser = Normaliser.fit(dataset.observations, NORMALISER_EPSILON)
+    ends = np.zeros(len(dataset.rewards), bool)
+    ends[[*(dataset.episode_starts[1:] - 1), -1]] = True
+    returns = dataset.episode_returns()
+    np.savez(
+        folder / "rows.npz",
+        observations=dataset.observations,
+        actions=dataset.actions,
+        rewards=dataset.rewards[:, None],
+        terminals=dataset.terminated.astype(np.float32),
+        timeouts=(ends & ~dataset.terminated).astype(np.float32),
+        mean=normaliser.mean,
+        std=normaliser.std,
+        epsilon=NORMALISER_EPSILON,
+        reward_scale=1000.0 / (returns.max() - returns.min()),
+    )
+    out = folder / "weights.npz"
+    command = [python, "-m", "benchmarks.parity.peer", "train", "--learner", name, "--data", folder / "rows.npz"]
+    command += ["--out", out, "--seed", str(seed), "--updates", str(updates)]
+    subprocess.run(command, check=True, cwd=ROOT, env={**os.environ, "OMP_NUM_THREADS": "1"}, stderr=subprocess.DEVNULL)
+    with np.load(out, allow_pickle=False) as file:
+        arrays = {key: file[key] for key in file.files}
+    about = json.loads(arrays.pop("about").tobytes())
+    policy = Policy(
+        actor=actor_of(name, arrays),
+        normaliser=normaliser,
+        action_low=tuple(dataset.action_low.tolist()),
+        action_high=tuple(dataset.action_high.tolist()),
+        observation_names=dataset.observation_names,
+        action_names=dataset.action_names,
+    )
+    about["version"] = about.pop("peer")
+    return policy, about
+
+
+def actor_of(name: str, arrays: dict[str, np.ndarray]) -> Actor:
+    """What d3rlpy's learner acts with."""
+    if name == "behaviour-cloning":
+        return DeterministicActor(weights.network(arrays, "imitator"))
+    return DeterministicActor(weights.network(arrays, "policy", ("_mu",) if name == "iql" else ("_fc",)))
+
+
+def played(policy: Policy, dataset: odaf.Dataset) -> dict[str, Any]:
+    """Returns of `EPISODES` episodes, whose starts are the same for every policy, and their normalised mean."""
+    rollouts = Rollouts(episodes=EPISODES, seed=0).resolved(dataset.environment)
+    returns = rollout(policy, rollouts.maker(), EPISODES, seed=0).returns
+    score = normalised_score(rollouts.name, returns.tolist()) or {}
+    return {**score, "returns": [round(value, 3) for value in returns.tolist()]}
+
+
+def score(name: str, side: str, dataset: odaf.Dataset, seed: int, updates: int, python: Path | None) -> dict[str, Any]:
+    """Trains and plays one run."""
+    with tempfile.TemporaryDirectory() as folder:
+        if side == "odaf":
+            policy, about = train_ours(name, dataset, seed, updates, Path(folder))
+        else:
+            assert python is not None
+            policy, about = train_peer(name, dataset, seed, updates, Path(folder), python)
+    return {
+        "learner": name,
+        "side": side,
+        "seed": seed,
+        "updates": updates,
+        **about,
+        **played(policy, dataset),
+        "settings": {**LEARNERS[name], "normaliser_epsilon": NORMALISER_EPSILON},
+    }
+
+
+def main(
+    data: Path,
+    learners: Sequence[str],
+    seeds: Sequence[int],
+    updates: int,
+    sides: Sequence[str],
+    python: Path | None,
+    folder: Path = FOLDER,
+) -> None:
+    """Makes the runs that are missing, every learner of one seed before the next seed, and prints the table."""
+    dataset = odaf.Dataset.load(data)
+    about = {
+        "name": dataset.provenance.get("name", data.stem),
+        "rows": len(dataset.rewards),
+        "mean_return": float(dataset.episode_returns().mean()),
+        "fingerprint": dataset.fingerprint(),
+        "locally_generated": True,
+    }
+    folder.mkdir(parents=True, exist_ok=True)
+    for seed in seeds:
+        for name in learners:
+            for side in sides:
+                path = folder / f"{name}-{side}-seed{seed}-{updates}.json"
+                if path.exists():
+                    continue
+                if side == "d3rlpy" and python is None:
+                    print(f"{path.stem}: left out, since no --peer-python is given", file=sys.stderr)
+                    continue
+                found = score(name, side, dataset, seed, updates, python)
+                found |= {"data": about, "machine": machine()}
+                path.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+                print(f"{path.stem}: {found['normalised_score']:.1f} after {found['seconds']:.0f} s", flush=True)
+    print(table(folder))
+
+
+def table(folder: Path = FOLDER) -> str:
+    """All runs that are there, side by side: the mean score over seeds, each seed's, and seconds."""
+    runs = [json.loads(path.read_text()) for path in sorted(folder.glob("*.json"))]
+    lines = [
+        "| learner | updates | odaf: mean (each seed) | d3rlpy: mean (each seed) | seconds a run: odaf, d3rlpy |",
+        "|---|---|---|---|---|",
+    ]
+    for name in LEARNERS:
+        for updates in sorted({run["updates"] for run in runs if run["learner"] == name}):
+            cells, seconds = [], []
+            for side in SIDES:
+                of_side = [r for r in runs if (r["learner"], r["side"], r["updates"]) == (name, side, updates)]
+                of_side.sort(key=lambda run: run["seed"])
+                scores = [run["normalised_score"] for run in of_side]
+                each = ", ".join(f"{value:.0f}" for value in scores)
+                cells.append(f"{statistics.mean(scores):.1f} ({each})" if scores else "missing")
+                seconds.append(f"{statistics.median(r['cpu_seconds'] for r in of_side):.0f}" if of_side else "-")
+            lines.append(f"| {name} | {updates:,} | {cells[0]} | {cells[1]} | {seconds[0]}, {seconds[1]} |")
+    return "\n".join(lines)
