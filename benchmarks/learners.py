@@ -1,8 +1,12 @@
-"""The learners that are timed, all on one problem: Hopper's shapes, batch 256, ten critics, three layers of 256."""
+"""The learners that are timed, on Hopper's shapes with batches of 256 rows.
+
+Ensembles all have ten critics and three layers of 256. The others have the sizes that they are published with; those
+that d3rlpy has too, the sizes and numbers of actions of `benchmarks.parity.settings`.
+"""
 
 import dataclasses
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -11,7 +15,9 @@ import jax.numpy as jnp
 import jax.random as jr
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from benchmarks.parity import settings
 from odaf.algorithms.base import Metrics
+from odaf.algorithms.ensemble_sac import EnsembleSAC
 from odaf.algorithms.numbers import Numbers, joined, split
 from odaf.algorithms.terms.base import Context
 from odaf.algorithms.terms.outcome_penalty import OutcomePenalty
@@ -47,6 +53,18 @@ NAMES: dict[str, tuple[str, dict[str, Any]]] = {
 }
 
 
+def _others() -> tuple[str, ...]:
+    """A preset for each kind of learner that is no ensemble of soft actor-critics: the one of its name, or the first."""
+    by_kind: dict[str, list[str]] = {}
+    for name in presets.names():
+        by_kind.setdefault(presets.settings(name)["kind"], []).append(name)
+    by_kind.pop(EnsembleSAC.kind)
+    return tuple(kind if kind in names else names[0] for kind, names in by_kind.items())
+
+
+OTHERS = _others()
+
+
 @dataclasses.dataclass(frozen=True)
 class NaiveOutcomePenalty(OutcomePenalty):
     """The sample solver written down as in the paper: all draws at once, and the maximum over all of them derived."""
@@ -66,6 +84,11 @@ class NaiveOutcomePenalty(OutcomePenalty):
 
 def load(name: str) -> Any:
     """The learner of this name, on the common problem."""
+    if name in OTHERS:
+        changes = {**settings.LEARNERS.get(name, {}), "batch_size": PROBLEM["batch_size"]}
+        if "warm_up_steps" in presets.settings(name):
+            changes["warm_up_steps"] = 0  # afterwards, an update costs most
+        return presets.load(name, changes)
     preset, changes = NAMES[name]
     algorithm = presets.load(preset, {**PROBLEM, **changes})
     if name.endswith("-naive"):
@@ -77,15 +100,17 @@ def load(name: str) -> Any:
     return algorithm
 
 
-def columns() -> Transitions:
-    """Random transitions of the problem's shapes."""
+def columns(extras: Sequence[str] = ()) -> Transitions:
+    """Random transitions of the problem's shapes, with the extra columns that a learner's view asks for."""
     keys = jr.split(jr.key(0), 4)
+    widths = {"next_actions": (SPEC.act_dim,)}
     return Transitions(
         jr.normal(keys[0], (ROWS, SPEC.obs_dim)),
         jr.uniform(keys[1], (ROWS, SPEC.act_dim), minval=-1.0, maxval=1.0),
         jr.uniform(keys[2], (ROWS,)),
         jr.normal(keys[3], (ROWS, SPEC.obs_dim)),
         jnp.zeros(ROWS),
+        {name: jnp.ones((ROWS, *widths.get(name, ()))) for name in extras},
     )
 
 

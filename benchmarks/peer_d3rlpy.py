@@ -1,53 +1,88 @@
-"""d3rlpy on the same problem, to be run by an interpreter that has d3rlpy 2 and PyTorch: prints JSON.
+"""d3rlpy on the same problem, to be run by an interpreter that has d3rlpy 2 and PyTorch.
 
 Make such an interpreter with
 
     python3 -m venv .venv-peer && .venv-peer/bin/python -m pip install -r benchmarks/peer-requirements.txt
 
-and give it to `updates_per_second.py --peer-python .venv-peer/bin/python`.
+and give it to `updates_per_second.py --peer-python .venv-peer/bin/python`, which runs this file as a module. Each line of
+its input names a learner and how long to time it, in seconds; the answer is a line of JSON.
 """
 
 import json
-import statistics
+import sys
 import time
+from collections.abc import Callable
+from typing import Any
 
 import d3rlpy  # pyright: ignore[reportMissingImports]
 import numpy as np
 
+from benchmarks.parity import peer
+from benchmarks.parity.settings import LEARNERS
+
 OBS_DIM, ACT_DIM, BATCH, CRITICS, HIDDEN = 11, 3, 256, 10, [256, 256, 256]
-ROWS, WARM, UPDATES, ROUNDS = 20_000, 20, 60, 3
+ROWS, WARM, PIECE = 20_000, 10, 5
 
 
-def main() -> None:
-    """Time SAC with ten critics, which is SAC-N, on random data."""
-    d3rlpy.seed(0)
+def random_rows() -> Any:
+    """Random rows in episodes of a thousand."""
     random = np.random.default_rng(0)
     ends = np.zeros(ROWS)
     ends[999::1000] = 1.0
-    data = d3rlpy.dataset.MDPDataset(
+    return d3rlpy.dataset.MDPDataset(
         random.normal(size=(ROWS, OBS_DIM)).astype(np.float32),
         random.uniform(-1.0, 1.0, size=(ROWS, ACT_DIM)).astype(np.float32),
         random.uniform(size=(ROWS, 1)).astype(np.float32),
         np.zeros(ROWS),
         ends,
     )
-    encoder = d3rlpy.models.VectorEncoderFactory(HIDDEN)
-    config = d3rlpy.algos.SACConfig(
-        batch_size=BATCH, n_critics=CRITICS, actor_encoder_factory=encoder, critic_encoder_factory=encoder
-    )
-    learner = config.create(device="cpu")
-    learner.build_with_dataset(data)
+
+
+def learner_of(name: str) -> tuple[Any, str]:
+    """A learner of this name at the sizes that ours is timed with, and what it is in words."""
+    if name == "sac-n":
+        encoder = d3rlpy.models.VectorEncoderFactory(HIDDEN)
+        config = d3rlpy.algos.SACConfig(
+            batch_size=BATCH, n_critics=CRITICS, actor_encoder_factory=encoder, critic_encoder_factory=encoder
+        )
+        return config.create(device="cpu"), "SAC with ten critics"
+    # BEAR after its warm-up, when an update costs most.
+    learner = peer.configured(name, {**LEARNERS[name], "batch_size": BATCH, "warm_up_steps": 0})
+    return learner, type(learner).__name__
+
+
+def timed(learner: Any, rows: Any) -> Callable[[float], float]:
+    """A function of seconds: updates a second over about so long, batches drawn as d3rlpy's users draw them."""
+    learner.build_with_dataset(rows)
 
     def update(count: int) -> float:
         start = time.perf_counter()
         for _ in range(count):
-            learner.update(data.sample_transition_batch(BATCH))
-        return count / (time.perf_counter() - start)
+            learner.update(rows.sample_transition_batch(BATCH))
+        return time.perf_counter() - start
 
     update(WARM)
-    speed = statistics.median(update(UPDATES) for _ in range(ROUNDS))
-    name = f"d3rlpy {d3rlpy.__version__}"
-    print(json.dumps({"d3rlpy-sac-n": {"updates_per_second": speed, "what": f"{name}: SAC with ten critics"}}))
+
+    def speed(seconds: float) -> float:
+        taken, done = update(PIECE), PIECE
+        while taken < seconds:
+            taken, done = taken + update(PIECE), done + PIECE
+        return done / taken
+
+    return speed
+
+
+def main() -> None:
+    """Answers one line after another."""
+    d3rlpy.seed(0)
+    rows, known = random_rows(), {}
+    for line in sys.stdin:
+        name, seconds = line.split()
+        if name not in known:
+            learner, what = learner_of(name)
+            known[name] = timed(learner, rows), f"d3rlpy {d3rlpy.__version__}: {what}"
+        speed, what = known[name]
+        print(json.dumps({"updates_per_second": speed(float(seconds)), "what": what}), flush=True)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Our learners against d3rlpy's on what it exported: one update each, from its weights, on its batch, with its noise."""
+"""Our learners against d3rlpy's: one update each, from the weights, on the batch and with the noise of its export."""
 
 import sys
 from pathlib import Path
@@ -8,7 +8,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks.parity import losses, ours  # noqa: E402
+from benchmarks.parity import losses, ours
 
 
 @pytest.mark.parametrize("name", list(ours.COMPARISONS))
@@ -22,4 +22,5 @@ def test_a_difference_is_seen():
     array = np.array([1.0, 100.0])
     assert losses.difference(array, array) == 0.0
     assert losses.difference(array + [0.0, 0.01], array) == pytest.approx(1e-4)
+    assert losses.difference(np.array([2e-3]), np.array([1e-3])) == pytest.approx(1.0)
     assert losses.difference(np.array([1e-3]), np.array([0.0])) == pytest.approx(1e-3)

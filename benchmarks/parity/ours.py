@@ -15,11 +15,13 @@ import jax.numpy as jnp
 import jax.random as jr
 import numpy as np
 
-from benchmarks.parity.settings import LEARNERS, STANDSTILL
+from benchmarks.parity.settings import ROWS, for_losses
 from benchmarks.parity.weights import Arrays, network, part, stack
-from odaf.algorithms import behaviour_cloning, iql
+from odaf.algorithms import bcq, bear, behaviour_cloning, cql, iql
 from odaf.algorithms.twin_delayed import TwinDelayedState
-from odaf.components.policies import DeterministicActor, UnsquashedGaussianActor
+from odaf.components.behaviour_models import LOG_STD_RANGE, BehaviourCVAE
+from odaf.components.cvae import CVAE
+from odaf.components.policies import DeterministicActor, ExactGaussianActor, GaussianActor, UnsquashedGaussianActor
 from odaf.components.trained import Trained
 from odaf.data.transitions import Transitions
 from odaf.runs import presets
@@ -66,8 +68,7 @@ def compared(name: str, export: Arrays) -> Both:
 
 
 def _learner(name: str, **changes: Any) -> Any:
-    rates = {key: STANDSTILL for key in LEARNERS[name] if key.endswith("learning_rate")}
-    return presets.load(name, LEARNERS[name] | rates | changes)
+    return presets.load(name, for_losses(name) | changes)
 
 
 def _batch(export: Arrays, **extras: Any) -> Transitions:
@@ -183,9 +184,147 @@ def _iql(export: Arrays) -> Both:
     return Both(ours, theirs)
 
 
+def _squashed_actor(arrays: Arrays) -> Any:
+    return network(arrays, "policy", ("_mu", "_logstd"))
+
+
+def _scalar(arrays: Arrays, name: str) -> Any:
+    return jnp.asarray(arrays[f"{name}._parameter"][0, 0])
+
+
+def _by_draw(array: np.ndarray, draws: int) -> np.ndarray:
+    """Theirs are rows times draws side by side, ours have the draws first."""
+    return np.swapaxes(array.reshape(-1, draws, array.shape[-1]), 0, 1)
+
+
+def _cql(export: Arrays) -> Both:
+    before, slope, after = (part(export, key) for key in ("weights", "gradient", "after"))
+    learner = _learner("cql")
+    critics = Trained.begin(stack(before, "q_funcs"))
+
+    def actor(arrays: Arrays) -> ExactGaussianActor:
+        return ExactGaussianActor(_squashed_actor(arrays), None, None, cql.LOG_STD_MIN, cql.LOG_STD_MAX)
+
+    state = cql.CQLState(
+        step=jnp.asarray(0),
+        actor=Trained.begin(actor(before), slow=False),
+        critics=dataclasses.replace(critics, slow=stack(before, "targ_q_funcs")),
+        log_temperature=Trained.begin(_scalar(before, "log_temp"), slow=False),
+        log_multiplier=Trained.begin(_scalar(before, "log_alpha"), slow=False),
+        reward_scale=jnp.ones(()),
+    )
+    here, following, uniform, of_actor = (export[f"noise/{number}"] for number in range(4))
+    action_at_the_mode = np.zeros((1, *of_actor.shape), np.float32)  # of the target
+    noise = [of_actor, action_at_the_mode, _by_draw(uniform, learner.num_actions), here, following]
+    state, metrics = _update(learner, state, _batch(export), noise)
+    penalty = _gradient(state.log_multiplier)  # minus eta times the mean of both critics' penalties
+    temperature = np.exp(before["log_temp._parameter"][0, 0])
+    ours = {
+        "loss critics": metrics["critic/loss"] - 2.0 * penalty,
+        "loss actor": metrics["actor/loss"],
+        "gradient temperature": _gradient(state.log_temperature),
+        "gradient multiplier": penalty,
+        **_numbers("gradient critics", _gradient(state.critics)),
+        **_numbers("gradient actor", _gradient(state.actor)),
+        **_numbers("slow critics", state.critics.slow),
+    }
+    theirs = {
+        "loss critics": export["loss/critic_loss"],
+        "loss actor": export["loss/actor_loss"],
+        "gradient temperature": np.asarray(_scalar(slope, "log_temp")) / temperature,
+        "gradient multiplier": np.asarray(_scalar(slope, "log_alpha")),
+        **_numbers("gradient critics", stack(slope, "q_funcs")),
+        **_numbers("gradient actor", actor(slope)),
+        **_numbers("slow critics", stack(after, "targ_q_funcs")),
+    }
+    return Both(ours, theirs)
+
+
+def _behaviour(arrays: Arrays) -> BehaviourCVAE:
+    encoder, decoder = network(arrays, "vae_encoder", ("_mu", "_logstd")), network(arrays, "vae_decoder")
+    return BehaviourCVAE(CVAE(encoder, decoder, log_std_range=LOG_STD_RANGE))
+
+
+def _bcq(export: Arrays) -> Both:
+    before, slope, after = (part(export, key) for key in ("weights", "gradient", "after"))
+    learner = _learner("bcq")
+    critics = Trained.begin(stack(before, "q_funcs"))
+    perturbation = Trained.begin(network(before, "policy"))
+    state = bcq.BCQState(
+        step=jnp.asarray(0),
+        behaviour=Trained.begin(_behaviour(before), slow=False),
+        critics=dataclasses.replace(critics, slow=stack(before, "targ_q_funcs")),
+        perturbation=dataclasses.replace(perturbation, slow=network(before, "targ_policy")),
+    )
+    of_model, of_target, of_actor = (export[f"noise/{number}"] for number in range(3))
+    noise = [of_model, _by_draw(of_target, learner.num_actions), of_actor]
+    state, metrics = _update(learner, state, _batch(export), noise)
+    ours = {
+        "loss auto-encoder": metrics["behaviour/loss"],
+        "loss critics": metrics["critic/loss"],
+        "loss perturbation": metrics["actor/loss"],
+        **_numbers("gradient auto-encoder", _gradient(state.behaviour)),
+        **_numbers("gradient critics", _gradient(state.critics)),
+        **_numbers("gradient perturbation", _gradient(state.perturbation)),
+        **_numbers("slow critics", state.critics.slow),
+        **_numbers("slow perturbation", state.perturbation.slow),
+    }
+    theirs = {
+        "loss auto-encoder": export["loss/vae_loss"],
+        "loss critics": export["loss/critic_loss"],
+        "loss perturbation": export["loss/actor_loss"],
+        **_numbers("gradient auto-encoder", _behaviour(slope)),
+        **_numbers("gradient critics", stack(slope, "q_funcs")),
+        **_numbers("gradient perturbation", network(slope, "policy")),
+        **_numbers("slow critics", stack(after, "targ_q_funcs")),
+        **_numbers("slow perturbation", network(after, "targ_policy")),
+    }
+    return Both(ours, theirs)
+
+
+def _bear(export: Arrays) -> Both:
+    before, slope, after = (part(export, key) for key in ("weights", "gradient", "after"))
+    learner = _learner("bear")
+    critics = Trained.begin(stack(before, "q_funcs"))
+    state = bear.BEARState(
+        step=jnp.asarray(1),  # after the warm-up
+        behaviour=Trained.begin(_behaviour(before), slow=False),
+        actor=Trained.begin(GaussianActor(_squashed_actor(before)), slow=False),
+        critics=dataclasses.replace(critics, slow=stack(before, "targ_q_funcs")),
+        log_weight=Trained.begin(_scalar(before, "log_alpha"), slow=False),
+    )
+    of_model, of_target, _, of_decoder, of_actor = (export[f"noise/{number}"] for number in range(5))
+    decoded = of_decoder.reshape(learner.num_draws, ROWS, -1)
+    state, metrics = _update(learner, state, _batch(export), [of_model, of_target, of_actor, decoded])
+    ours = {
+        "loss auto-encoder": metrics["behaviour/loss"],
+        "loss critics": metrics["critic/loss"],
+        "loss actor": metrics["actor/loss"],
+        "gradient multiplier": _gradient(state.log_weight),
+        **_numbers("gradient auto-encoder", _gradient(state.behaviour)),
+        **_numbers("gradient critics", _gradient(state.critics)),
+        **_numbers("gradient actor", _gradient(state.actor)),
+        **_numbers("slow critics", state.critics.slow),
+    }
+    theirs = {
+        "loss auto-encoder": export["loss/imitator_loss"],
+        "loss critics": export["loss/critic_loss"],
+        "loss actor": export["loss/actor_loss"],
+        "gradient multiplier": np.asarray(_scalar(slope, "log_alpha")),
+        **_numbers("gradient auto-encoder", _behaviour(slope)),
+        **_numbers("gradient critics", stack(slope, "q_funcs")),
+        **_numbers("gradient actor", GaussianActor(_squashed_actor(slope))),
+        **_numbers("slow critics", stack(after, "targ_q_funcs")),
+    }
+    return Both(ours, theirs)
+
+
 COMPARISONS: Mapping[str, Callable[[Arrays], Both]] = {
     "behaviour-cloning": _behaviour_cloning,
     "td3-bc": _twin_delayed("td3-bc"),
+    "cql": _cql,
+    "bcq": _bcq,
+    "bear": _bear,
     "iql": _iql,
-    "rebrac": _twin_delayed("rebrac", next_actions="next_actions", followed=jnp.ones(32)),
+    "rebrac": _twin_delayed("rebrac", next_actions="next_actions", followed=jnp.ones(ROWS)),
 }

@@ -1,7 +1,7 @@
 """d3rlpy's side, run by an interpreter that has it: `python -m benchmarks.parity.peer export|train ...`.
 
-`export` makes one update of a learner at `STANDSTILL` rates, from random weights, on a random batch, and writes all that
-went in and came out as plain arrays:
+`export` makes one update of a learner at `STANDSTILL` rates, from random weights, on a random batch, and writes all
+that went in and came out as plain arrays:
 
     weights/MODULE.PARAMETER      before the update
     batch/COLUMN
@@ -28,14 +28,16 @@ import torch  # pyright: ignore[reportMissingImports]
 from d3rlpy.dataset import TransitionMiniBatch  # pyright: ignore[reportMissingImports]
 from d3rlpy.models import VectorEncoderFactory  # pyright: ignore[reportMissingImports]
 
-from benchmarks.parity.settings import ACT_DIM, HIDDEN, LEARNERS, OBS_DIM, ROWS, STANDSTILL
+from benchmarks.parity.settings import ACT_DIM, LEARNERS, OBS_DIM, ROWS, STANDSTILL, for_losses
 
 
 def configured(name: str, settings: dict[str, Any], **scalers: Any) -> Any:
     """d3rlpy's learner with our settings."""
-    widths = list(settings["hidden_sizes"])
+    widths = list(settings.get("hidden_sizes") or settings["actor_hidden_sizes"])
     encoder = VectorEncoderFactory(widths)
-    both = {"actor_encoder_factory": encoder, "critic_encoder_factory": encoder}
+    critic = VectorEncoderFactory(list(settings.get("critic_hidden_sizes", widths)))
+    both = {"actor_encoder_factory": encoder, "critic_encoder_factory": critic}
+    imitator = {"imitator_encoder_factory": VectorEncoderFactory(list(settings.get("behaviour_hidden_sizes", widths)))}
     shared = {"batch_size": settings["batch_size"], **scalers}
     algorithms = d3rlpy.algos
     match name:
@@ -75,6 +77,49 @@ def configured(name: str, settings: dict[str, Any], **scalers: Any) -> Any:
                 **both,
                 **shared,
             )
+        case "cql":
+            gap = settings["lagrange_gap"]
+            config = algorithms.CQLConfig(
+                conservative_weight=settings["conservative_weight"],
+                n_action_samples=settings["num_actions"],
+                alpha_threshold=0.0 if gap is None else gap,
+                alpha_learning_rate=0.0 if gap is None else settings["critic_learning_rate"],
+                temp_learning_rate=settings["temperature_learning_rate"],
+                **_rates(settings),
+                **both,
+                **shared,
+            )
+        case "bcq":
+            config = algorithms.BCQConfig(
+                action_flexibility=settings["perturbation"],
+                n_action_samples=settings["num_actions"],
+                lam=settings["lowest_weight"],
+                gamma=settings["discount"],
+                tau=settings["target_rate"],
+                actor_learning_rate=settings["learning_rate"],
+                critic_learning_rate=settings["learning_rate"],
+                imitator_learning_rate=settings["learning_rate"],
+                **both,
+                **imitator,
+                **shared,
+            )
+        case "bear":
+            config = algorithms.BEARConfig(
+                mmd_kernel=settings["kernel"],
+                mmd_sigma=settings["kernel_width"],
+                alpha_threshold=settings["threshold"],
+                n_mmd_action_samples=settings["num_draws"],
+                n_target_samples=settings["num_actions"],
+                lam=settings["lowest_weight"],
+                warmup_steps=settings["warm_up_steps"],
+                imitator_learning_rate=settings["behaviour_learning_rate"],
+                alpha_learning_rate=settings["weight_learning_rate"],
+                initial_temperature=settings.get("initial_temperature", 1.0),
+                **_rates(settings),
+                **both,
+                **imitator,
+                **shared,
+            )
         case _:
             raise SystemExit(f"{name}: not known here")
     return config.create(device="cpu")
@@ -92,6 +137,15 @@ class NormedFactory(VectorEncoderFactory):
         return encoder
 
 
+def _rates(settings: dict[str, Any]) -> dict[str, Any]:
+    return {
+        "gamma": settings["discount"],
+        "tau": settings["target_rate"],
+        "actor_learning_rate": settings["actor_learning_rate"],
+        "critic_learning_rate": settings["critic_learning_rate"],
+    }
+
+
 def _twin_delayed(settings: dict[str, Any]) -> dict[str, Any]:
     return {
         "gamma": settings["discount"],
@@ -106,16 +160,26 @@ def _twin_delayed(settings: dict[str, Any]) -> dict[str, Any]:
 
 
 class Given:
-    """Random numbers of ours in place of PyTorch's, kept in the order in which they are asked for."""
+    """Random numbers of ours in place of PyTorch's, kept in the order in which they are asked for.
 
-    def __init__(self, seed: int):
+    Args:
+        seed: of the numbers.
+        several: an array of this shape begins with the one that was drawn before it, so that the first of several draws
+            is the single one.
+    """
+
+    def __init__(self, seed: int, several: tuple[int, ...] | None = None):
         self._random = np.random.default_rng(seed)
+        self._several = several
         self.drawn: list[np.ndarray] = []
 
     def normal(self, *shape: Any, **_: Any) -> torch.Tensor:
         """In place of `torch.randn` and of what `torch.distributions.Normal` draws from."""
         sizes = tuple(shape[0]) if len(shape) == 1 and not isinstance(shape[0], int) else shape
-        return self._kept(self._random.normal(size=sizes))
+        array = self._random.normal(size=sizes)
+        if self._several == sizes:
+            array[0] = next(before for before in reversed(self.drawn) if before.shape == sizes[1:])
+        return self._kept(array)
 
     def uniform(self, tensor: torch.Tensor, low: float, high: float) -> torch.Tensor:
         """In place of `Tensor.uniform_`."""
@@ -141,10 +205,9 @@ class Given:
 
 def export(name: str, out: Path, seed: int = 0) -> None:
     """One update of d3rlpy's learner as plain arrays."""
-    settings = dict(LEARNERS[name], hidden_sizes=(HIDDEN,) * len(LEARNERS[name]["hidden_sizes"]), batch_size=ROWS)
-    rates = {key: STANDSTILL for key in settings if key.endswith("learning_rate")}
+    settings = for_losses(name)
     d3rlpy.seed(seed)
-    learner = configured(name, settings | rates | {"norm": "before"})
+    learner = configured(name, settings | {"norm": "before", "initial_temperature": STANDSTILL})
     learner.create_impl((OBS_DIM,), ACT_DIM)
     modules = learner.impl.modules.get_torch_modules()
     random = np.random.default_rng(seed)
@@ -171,7 +234,8 @@ def export(name: str, out: Path, seed: int = 0) -> None:
     for optimiser in vars(learner.impl.modules).values():
         if hasattr(optimiser, "optim"):
             _record(optimiser, names, gradients)
-    given = Given(seed + 1)
+    mend(learner)
+    given = Given(seed + 1, (settings.get("num_draws", 0), ROWS, ACT_DIM))
     with given.instead():
         losses = learner.update(rows)
     content |= {f"noise/{number}": array for number, array in enumerate(given.drawn)}
@@ -182,6 +246,22 @@ def export(name: str, out: Path, seed: int = 0) -> None:
     content["about"] = np.frombuffer(json.dumps({"peer": f"d3rlpy {d3rlpy.__version__}"}).encode(), np.uint8)
     out.parent.mkdir(parents=True, exist_ok=True)
     np.savez_compressed(out, **content)
+
+
+def mend(learner: Any) -> None:
+    """Sets two things right in d3rlpy 2.8.1 without which nothing could be compared (losses.py names them)."""
+    impl, modules = learner.impl, learner.impl.modules
+    if hasattr(modules, "vae_decoder"):
+        decode = modules.vae_decoder.forward
+        modules.vae_decoder.forward = lambda x, latent, with_squash=True: decode(x, latent, not with_squash)
+    if hasattr(modules, "vae_decoder") and hasattr(impl, "update_alpha"):
+        update_alpha = impl.update_alpha
+
+        def without_traces(loss: Any) -> None:
+            update_alpha(loss)
+            modules.actor_optim.zero_grad()
+
+        impl.update_alpha = without_traces
 
 
 def _record(optimiser: Any, names: dict[Any, str], gradients: dict[str, np.ndarray]) -> None:
@@ -233,7 +313,12 @@ def train(name: str, data: Path, out: Path, seed: int, updates: int) -> None:
     content = _parameters(learner.impl.modules.get_torch_modules())
     if not all(math.isfinite(float(np.sum(value))) for value in content.values()):
         raise SystemExit(f"{name}: weights are not finite")
-    about = {"seconds": seconds, "cpu_seconds": cpu_seconds, "peer": f"d3rlpy {d3rlpy.__version__}", "torch": torch.__version__}
+    about = {
+        "seconds": seconds,
+        "cpu_seconds": cpu_seconds,
+        "peer": f"d3rlpy {d3rlpy.__version__}",
+        "torch": torch.__version__,
+    }
     np.savez_compressed(out, about=np.frombuffer(json.dumps(about).encode(), np.uint8), **content)
 
 

@@ -16,13 +16,17 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
+from odaf.components.ranked_actors import PerturbedActor, RankedGaussianActor, perturbed
 
 import odaf
 from benchmarks.machine import machine
 from benchmarks.parity import weights
 from benchmarks.parity.settings import LEARNERS, NORMALISER_EPSILON
-from odaf.components.policies import Actor, DeterministicActor
+from odaf.components.candidates import best_candidate, fixed_normal
+from odaf.components.cvae import decoded_draws
+from odaf.components.policies import Actor, DeterministicActor, GaussianActor
 from odaf.data.normalisation import Normaliser
 from odaf.environments.reference_returns import normalised_score
 from odaf.evaluation.rollouts import Rollouts, rollout
@@ -32,6 +36,7 @@ from odaf.training.policy import Policy
 FOLDER = Path(__file__).with_name("scores")
 ROOT = Path(__file__).resolve().parents[2]
 EPISODES = 20
+CANDIDATES = 100  # draws that BCQ and BEAR act with the best of
 SIDES = ("odaf", "d3rlpy")
 
 
@@ -95,11 +100,39 @@ def train_peer(
     return policy, about
 
 
+class UnsquashedPerturbedActor(PerturbedActor):
+    """The best of a decoder's actions as d3rlpy 2.8.1's BCQ has them: without the decoder's tanh."""
+
+    def act(self, carry: Any, observations: Any, key: Any = None) -> tuple[Any, Any]:
+        """The candidate that the critic values most, of the same noise at every step."""
+        del key
+        shape = (self.noise.shape[0], len(observations), self.noise.shape[1])
+        actions = decoded_draws(self.decoder, observations, jnp.broadcast_to(self.noise[:, None], shape))
+        moved = perturbed(self.perturbation, self.reach, observations, actions)
+        return best_candidate(self.critic, observations, moved), carry
+
+
 def actor_of(name: str, arrays: dict[str, np.ndarray]) -> Actor:
-    """What d3rlpy's learner acts with."""
-    if name == "behaviour-cloning":
-        return DeterministicActor(weights.network(arrays, "imitator"))
-    return DeterministicActor(weights.network(arrays, "policy", ("_mu",) if name == "iql" else ("_fc",)))
+    """What d3rlpy's learner acts with; where it ranks draws, those of the noise that ours ranks."""
+    match name:
+        case "behaviour-cloning":
+            return DeterministicActor(weights.network(arrays, "imitator"))
+        case "iql" | "cql":
+            return DeterministicActor(weights.network(arrays, "policy", ("_mu",)))
+        case "bear":
+            proposals = GaussianActor(weights.network(arrays, "policy", ("_mu", "_logstd")))
+            width = proposals.network.weights[-1].shape[-1] // 2
+            return RankedGaussianActor(proposals, weights.network(arrays, "q_funcs.0"), fixed_normal(CANDIDATES, width))
+        case "bcq":
+            decoder = weights.network(arrays, "vae_decoder")
+            return UnsquashedPerturbedActor(
+                decoder=decoder,
+                perturbation=weights.network(arrays, "policy"),
+                reach=jnp.asarray(LEARNERS[name]["perturbation"]),
+                critic=weights.network(arrays, "q_funcs.0"),
+                noise=fixed_normal(CANDIDATES, 2 * decoder.weights[-1].shape[-1]),
+            )
+    return DeterministicActor(weights.network(arrays, "policy"))
 
 
 def played(policy: Policy, dataset: odaf.Dataset) -> dict[str, Any]:
