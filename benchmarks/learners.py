@@ -27,6 +27,7 @@ from odaf.data.sampling import sample
 from odaf.data.spec import Spec
 from odaf.data.transitions import Transitions
 from odaf.runs import presets
+from odaf.training.loop import donatable
 
 SPEC = Spec(11, 3, (-1.0,) * 3, (1.0,) * 3, 0.0, 1.0, False, 1000)
 PROBLEM = {"hidden_sizes": (256, 256, 256), "num_critics": 10, "batch_size": 256}
@@ -54,7 +55,7 @@ NAMES: dict[str, tuple[str, dict[str, Any]]] = {
 
 
 def _others() -> tuple[str, ...]:
-    """A preset for each kind of learner that is no ensemble of soft actor-critics: the one of its name, or the first."""
+    """A preset for each kind of learner that is no ensemble: the one of its name, or the first."""
     by_kind: dict[str, list[str]] = {}
     for name in presets.names():
         by_kind.setdefault(presets.settings(name)["kind"], []).append(name)
@@ -122,7 +123,7 @@ def state_of(algorithm: Any) -> Any:
 
 def repeated(algorithm: Any, rows: Transitions, part: Part, state: Any) -> Callable[[int], None]:
     """A function of a number: make `part` that often in one compiled loop, on fresh batches, and wait for the end."""
-    arrays, static = eqx.partition(state, eqx.is_array)
+    arrays, static = eqx.partition(donatable(state), eqx.is_array)  # of strong types, or a second call compiles anew
     structure, numbers = split(algorithm)
 
     @functools.partial(jax.jit, donate_argnums=2)
@@ -136,7 +137,7 @@ def repeated(algorithm: Any, rows: Transitions, part: Part, state: Any) -> Calla
 
         return jax.lax.fori_loop(0, count, step, arrays)
 
-    carried = [jax.tree.map(jnp.copy, arrays)]
+    carried = [arrays]
 
     def call(count: int) -> None:
         carried[0] = jax.block_until_ready(stretch(numbers, rows, carried[0], jnp.asarray(count)))

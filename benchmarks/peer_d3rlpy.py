@@ -4,8 +4,8 @@ Make such an interpreter with
 
     python3 -m venv .venv-peer && .venv-peer/bin/python -m pip install -r benchmarks/peer-requirements.txt
 
-and give it to `updates_per_second.py --peer-python .venv-peer/bin/python`, which runs this file as a module. Each line of
-its input names a learner and how long to time it, in seconds; the answer is a line of JSON.
+and give it to `updates_per_second.py --peer-python .venv-peer/bin/python`, which runs this file as a module. Each line
+of its input names a learner and how long to time it, in seconds; the answer is a line of JSON.
 """
 
 import json

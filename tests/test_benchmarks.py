@@ -15,7 +15,7 @@ from odaf.data.sampling import sample
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from benchmarks import learners, operations, parts  # noqa: E402
+from benchmarks import learners, operations, parts, updates_per_second  # noqa: E402
 
 SCRIPTS = {
     "acting": ["--rounds", "2", "--calls", "2"],
@@ -89,3 +89,20 @@ def test_draws_and_states_of_the_outcome_term_are_counted(monkeypatch):
 def test_an_update_is_shown_by_its_parts():
     found = parts.parts_of(learners.load("odaf"))
     assert {"whole update", "targets", "critics' gradient", "actor's gradient with terms"} <= found.keys()
+
+
+def test_what_is_asked_of_a_learner_grows_with_the_machine(capsys):
+    peers = {"iql": {"updates_per_second": 100.0}, "bear": {"updates_per_second": 10.0}}
+    speeds = {"iql": 450.0, "bear": 19.0, "td3-bc": 500.0, "rebrac": 1.0}
+    asked = updates_per_second.laid_beside(speeds, peers, peak=165.0)
+    assert asked["iql"]["floor"] == pytest.approx(256.5) and asked["iql"]["times_d3rlpy"] == pytest.approx(4.5)
+    assert {name: row["holds"] for name, row in asked.items()} == {"iql": True, "bear": False, "td3-bc": True}
+    assert "too slow" in capsys.readouterr().out
+    assert not updates_per_second.laid_beside({"iql": 390.0}, peers, peak=165.0)["iql"]["holds"]
+
+
+def test_the_other_learners_have_the_sizes_of_d3rlpys():
+    assert {"td3-bc", "iql", "cql"} <= set(learners.OTHERS)
+    cql = learners.load("cql")
+    assert (cql.critic_hidden_sizes, cql.num_actions, cql.batch_size) == ((256, 256), 10, 256)
+    assert learners.columns(learners.load("rebrac").view().extras).extras["next_actions"].shape[1] == 3

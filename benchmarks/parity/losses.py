@@ -36,8 +36,8 @@ DIFFERENCES: dict[str, tuple[str, ...]] = {
     "cql": (
         "the target's action: theirs is the policy's mode, ours a draw, as in the public codes; compared with a draw "
         "without noise",
-        "temperature: theirs descends alpha (log pi + H), ours log alpha (log pi + H), whose slope in log alpha is that "
-        "of theirs over alpha; compared so",
+        "temperature: theirs descends alpha (log pi + H), ours log alpha (log pi + H), with a slope in log alpha that "
+        "is theirs over alpha; compared so",
         "order: theirs steps critics, then temperature, then the actor by both; ours takes all from equal parameters",
         "log std: ours is m output + c with learnt m and c; compared without",
     ),

@@ -18,7 +18,6 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from odaf.components.ranked_actors import PerturbedActor, RankedGaussianActor, perturbed
 
 import odaf
 from benchmarks.machine import machine
@@ -27,6 +26,7 @@ from benchmarks.parity.settings import LEARNERS, NORMALISER_EPSILON
 from odaf.components.candidates import best_candidate, fixed_normal
 from odaf.components.cvae import decoded_draws
 from odaf.components.policies import Actor, DeterministicActor, GaussianActor
+from odaf.components.ranked_actors import PerturbedActor, RankedGaussianActor, perturbed
 from odaf.data.normalisation import Normaliser
 from odaf.environments.reference_returns import normalised_score
 from odaf.evaluation.rollouts import Rollouts, rollout
