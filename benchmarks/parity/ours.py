@@ -84,7 +84,8 @@ def _batch(export: Arrays, **extras: Any) -> Transitions:
 
 
 def _gradient(trained: Trained[Any]) -> Any:
-    return jax.tree.map(lambda moment: moment / FIRST_MOMENT, trained.moments[0].mu)
+    moments: Any = trained.moments
+    return jax.tree.map(lambda moment: moment / FIRST_MOMENT, moments[0].mu)
 
 
 def _numbers(prefix: str, tree: Any) -> dict[str, np.ndarray]:

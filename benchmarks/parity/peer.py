@@ -215,7 +215,7 @@ def export(name: str, out: Path, seed: int = 0) -> None:
         for module in modules.values():
             for parameter in module.parameters():
                 parameter += torch.from_numpy(0.3 * random.normal(size=tuple(parameter.shape)).astype(np.float32))
-    content = {f"weights/{key}": value for key, value in _parameters(modules).items()}
+    content: dict[str, Any] = {f"weights/{key}": value for key, value in _parameters(modules).items()}
 
     batch = {
         "observations": random.normal(size=(ROWS, OBS_DIM)),
@@ -310,7 +310,7 @@ def train(name: str, data: Path, out: Path, seed: int, updates: int) -> None:
         if number % 1000 == 999:
             print(f"{name} seed {seed}: {number + 1} updates, {time.perf_counter() - start:.0f} s", flush=True)
     seconds, cpu_seconds = time.perf_counter() - start, time.process_time() - cpu_start
-    content = _parameters(learner.impl.modules.get_torch_modules())
+    content: dict[str, Any] = _parameters(learner.impl.modules.get_torch_modules())
     if not all(math.isfinite(float(np.sum(value))) for value in content.values()):
         raise SystemExit(f"{name}: weights are not finite")
     about = {
