@@ -6,7 +6,9 @@ import math
 import jax.numpy as jnp
 import jax.random as jr
 import numpy as np
+import pytest
 
+from odaf.components.distributions import exact_sample_tanh_gaussian
 from odaf.components.policies import GaussianActor, init_gaussian_actor
 from odaf.environments.gaussian_policy import GaussianPolicy
 
@@ -28,16 +30,25 @@ def test_actions_and_densities_agree_with_the_actor():
     _, log_std = policy.parameters(observations)
     assert log_std.min() == -5.0 and log_std.max() == 2.0, "this actor must reach both limits"
     actions, densities = policy.sample_with_density(observations, noise)
-    expected, log_density = actor.sample(jnp.asarray(observations), jnp.asarray(noise))
+    mean_and_log_std = actor.parameters(jnp.asarray(observations))
+    expected, log_density = exact_sample_tanh_gaussian(*mean_and_log_std, jnp.asarray(noise))
     np.testing.assert_allclose(actions, expected, atol=1e-5)
-    free = np.abs(actions).max(axis=1) < 0.999  # near the bounds, the density amplifies rounding in single precision
-    assert free.sum() >= 5
-    np.testing.assert_allclose(densities[free], np.asarray(log_density)[free], atol=2e-3)
-    np.testing.assert_allclose(densities, log_density, atol=1.0)
+    assert densities.dtype == np.float32
+    np.testing.assert_allclose(densities, log_density, atol=1e-3)  # up to the bounds
     np.testing.assert_array_equal(policy.sample(observations, noise), actions)
     np.testing.assert_allclose(policy.mode(observations), actor.mode(jnp.asarray(observations)), atol=1e-5)
     one = policy.sample(observations[0], noise[0])
     np.testing.assert_allclose(one, actions[0], atol=1e-6)
+
+
+@pytest.mark.parametrize("before_tanh", [0.0, -0.7, 3.0, 8.0, -12.0, 30.0, 200.0])
+def test_the_density_is_right_up_to_the_bounds(before_tanh: float):
+    # Standard deviation 1, mean 0. The density of tanh(u) is N(u) / sech(u)^2, here with cosh in long double.
+    policy = GaussianPolicy([np.zeros((1, 2), np.float32)], [np.zeros(2, np.float32)])
+    _, density = policy.sample_with_density(np.zeros((1, 1)), np.array([[before_tanh]], np.float32))
+    u = np.longdouble(before_tanh)
+    expected = -0.5 * u**2 - 0.5 * np.log(2 * np.longdouble(np.pi)) + 2 * np.log(np.cosh(u))
+    np.testing.assert_allclose(density, [float(expected)], rtol=1e-6)
 
 
 def test_the_spread_scales_the_standard_deviation_and_leaves_the_mode():

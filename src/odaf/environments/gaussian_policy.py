@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from odaf.components.distributions import LOG_TWO_PI, SQUASH_EPSILON
+from odaf.components.distributions import LOG_TWO_PI
 from odaf.components.policies import LOG_STD_MAX, LOG_STD_MIN
 
 
@@ -46,8 +46,14 @@ class GaussianPolicy:
         return np.tanh(mean + np.exp(log_std) * noise)
 
     def sample_with_density(self, observations: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The same action, and its log-density summed over action dimensions, in nats."""
+        """The same action, and its log-density summed over action dimensions, in nats.
+
+        The slope of the squashing is taken from the number u before it, log(1 - tanh(u)^2) = 2 (log 2 - |u| - log(1 +
+        exp(-2 |u|))), in double precision: it holds its digits where the action itself is rounded to a bound.
+        """
         mean, log_std = self.parameters(observations)
-        action = np.tanh(mean + np.exp(log_std) * noise)
-        correction = np.log(1.0 - np.square(action) + SQUASH_EPSILON)
-        return action, np.sum(-0.5 * (np.square(noise) + LOG_TWO_PI) - log_std - correction, axis=-1)
+        before_tanh = mean + np.exp(log_std) * noise
+        size = np.abs(before_tanh.astype(np.float64))
+        slope = 2.0 * (math.log(2.0) - size - np.log1p(np.exp(-2.0 * size)))
+        density = np.sum(-0.5 * (np.square(noise) + LOG_TWO_PI) - log_std - slope, axis=-1)
+        return np.tanh(before_tanh), density.astype(np.float32)
