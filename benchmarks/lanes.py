@@ -57,7 +57,7 @@ def in_lanes(setting: Setting, program: Any, lanes: int, updates: int) -> float:
 
     def train(first: int, last: int, states: Any) -> Any:
         number = loop.update_number
-        return jax.block_until_ready(program(numbers, rows, None, keys, number(first), number(last), states))[0]
+        return jax.block_until_ready(program(numbers, rows, None, keys, number(first), number(last), states, None))[0]
 
     states = train(0, 2, states)
     before = time.perf_counter()

@@ -54,6 +54,16 @@ class Algorithm(RowChoice, abc.ABC, Generic[State]):
     """Updates between two calls of `refresh`, the first one before the first update; 0 never calls it."""
     batch_size: int
 
+    def can_be_padded(self) -> bool:
+        """Whether a lane may have more columns than its data set, so that robots of different widths share a program.
+
+        Then updates leave zero weights of columns that a batch does not own at zero and do not count these columns:
+        noise is the batch's `action_noise`, means its `mean_over_actions`, densities are of its `own_actions`. A
+        network's inputs are observations, actions, or observations and then actions, its outputs actions or two sets of
+        them. Say so of a class and not of those that are derived from it.
+        """
+        return False
+
     def citations(self) -> tuple[Citation, ...]:
         """The papers to name beside results of these settings; those of its terms come from the terms."""
         return ()

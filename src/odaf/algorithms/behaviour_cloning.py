@@ -17,6 +17,7 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray, PyTree
 
 from odaf.algorithms import citations
 from odaf.algorithms.base import Algorithm, LearnerState, Metrics
+from odaf.components.distributions import gaussian_log_density
 from odaf.components.policies import Actor, DeterministicActor, UnsquashedGaussianActor, init_deterministic_actor
 from odaf.components.trained import Trained
 from odaf.data.spec import Spec
@@ -35,8 +36,9 @@ class CloningState(LearnerState):
 def cloning_loss(actor: Actor, batch: Transitions) -> Float[Array, ""]:
     """Mean over rows and action dimensions of (mu(s) - a)^2; of a Gaussian, mean over rows of -log pi(a|s) in nats."""
     if isinstance(actor, DeterministicActor):
-        return jnp.mean(jnp.square(actor.mode(batch.observations) - batch.actions))
-    return -jnp.mean(actor.log_density(batch.observations, batch.actions))
+        return batch.mean_over_actions(jnp.square(actor.mode(batch.observations) - batch.actions))
+    assert isinstance(actor, UnsquashedGaussianActor)
+    return -jnp.mean(gaussian_log_density(*actor.parameters(batch.observations), batch.actions, batch.own_actions))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -65,6 +67,10 @@ class BehaviourCloning(Algorithm[CloningState]):
     def view(self) -> View:
         """Single rows; rewards do not matter."""
         return View(normaliser_epsilon=self.normaliser_epsilon)
+
+    def can_be_padded(self) -> bool:
+        """Yes: what it averages and draws is of own dimensions."""
+        return type(self) is BehaviourCloning
 
     def citations(self) -> tuple[citations.Citation, ...]:
         """Cloning of logged actions by a network."""

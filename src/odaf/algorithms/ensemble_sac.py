@@ -61,6 +61,10 @@ class EnsembleSAC(EnsembleSettings):
     kind: ClassVar[str] = "ensemble-sac"
     draws_apart: ClassVar[bool] = True
 
+    def can_be_padded(self) -> bool:
+        """Without terms, which draw and average in ways of their own."""
+        return type(self) is EnsembleSAC and not self.active_terms
+
     def citations(self) -> tuple[citations.Citation, ...]:
         """SAC-N, or SAC itself where there are two critics; randomised priors where there are any."""
         base = citations.ENSEMBLES if self.num_critics > 2 else citations.SAC
@@ -164,8 +168,8 @@ class EnsembleSAC(EnsembleSettings):
 
     def targets(self, state: EnsembleState, batch: Transitions, key: PRNGKeyArray) -> Float[Array, "*critics rows"]:
         """y, clipped to the value range: one for all members, or with `target="member"` one for each."""
-        noise = jr.normal(key, batch.actions.shape)
-        next_actions, log_density = state.actor.now.sample(batch.next_observations, noise)
+        noise = batch.action_noise(key)
+        next_actions, log_density = state.actor.now.sample(batch.next_observations, noise, batch.own_actions)
         members = state.target_critics(batch.next_observations, next_actions)
         next_values = jnp.min(members, axis=0) if self.target == "min" else members
 
@@ -219,8 +223,8 @@ class EnsembleSAC(EnsembleSettings):
         self, actor: GaussianActor, state: EnsembleState, batch: Transitions, key: PRNGKeyArray
     ) -> tuple[Float[Array, ""], tuple[Float[Array, " rows"], Metrics]]:
         """L_pi and the terms' additions, as a function of the actor; also log pi(a~|s) for the temperature."""
-        noise = jr.normal(jr.fold_in(key, 0), batch.actions.shape)
-        actions, log_density = actor.sample(batch.observations, noise)
+        noise = batch.action_noise(jr.fold_in(key, 0))
+        actions, log_density = actor.sample(batch.observations, noise, batch.own_actions)
         critics = state.online_critics if self.actor_critic == "online" else state.target_critics
         values = jnp.min(critics.as_constants(batch.observations, actions), axis=0)
         loss = soft_actor_loss(log_density, values, jnp.exp(state.log_temperature.now))

@@ -32,6 +32,7 @@ from odaf.algorithms.base import Algorithm, LearnerState, Metrics, PretrainProgr
 from odaf.algorithms.return_scale import scale_of_returns
 from odaf.components.adam import falling_rate
 from odaf.components.critics import CriticEnsemble
+from odaf.components.distributions import gaussian_log_density
 from odaf.components.losses import ensemble_td_gradient, expectile_loss
 from odaf.components.networks import MLP, init_mlp
 from odaf.components.numbers import Number
@@ -75,7 +76,8 @@ def actor_loss(actor: Actor, batch: Transitions, weights: Float[Array, " rows"])
     if isinstance(actor, DeterministicActor):
         misfit = jnp.sum(jnp.square(actor.mode(batch.observations) - batch.actions), axis=-1)
     else:
-        misfit = -actor.log_density(batch.observations, batch.actions)
+        assert isinstance(actor, UnsquashedGaussianActor)
+        misfit = -gaussian_log_density(*actor.parameters(batch.observations), batch.actions, batch.own_actions)
     return jnp.mean(jax.lax.stop_gradient(weights) * misfit)
 
 
@@ -140,6 +142,10 @@ class IQL(Algorithm[IQLState]):
         for field in ("inverse_temperature", "actor_decay_updates", "normaliser_epsilon"):
             if getattr(self, field) < 0.0:
                 raise ConfigError(f"{field}={getattr(self, field)} must not be negative")
+
+    def can_be_padded(self) -> bool:
+        """Yes: what it averages and draws is of own dimensions."""
+        return type(self) is IQL
 
     def citations(self) -> tuple[citations.Citation, ...]:
         """IQL."""

@@ -83,6 +83,10 @@ class ReBRAC(TwinDelayed):
         if not 0.0 < self.reward_scale < math.inf:
             raise ConfigError(f"reward_scale={self.reward_scale} must be positive")
 
+    def can_be_padded(self) -> bool:
+        """Yes: what it averages and draws is of own dimensions."""
+        return type(self) is ReBRAC
+
     def citations(self) -> tuple[citations.Citation, ...]:
         """ReBRAC."""
         return (citations.REBRAC,)

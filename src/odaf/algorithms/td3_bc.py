@@ -35,7 +35,7 @@ def actor_loss(
     """L_pi; gradients reach the actor only."""
     actions = actor.mode(batch.observations)
     values = critics.first().as_constants(batch.observations, actions)[0]
-    cloning = jnp.mean(jnp.square(actions - batch.actions))
+    cloning = batch.mean_over_actions(jnp.square(actions - batch.actions))
     size = jax.lax.stop_gradient(jnp.mean(jnp.abs(values)))
     loss = cloning - value_weight / size * jnp.mean(values)
     return loss, {"actor/loss": loss, "actor/cloning": cloning, "actor/value": jnp.mean(values)}
@@ -53,6 +53,10 @@ class TD3BC(TwinDelayed):
     """alpha, the weight of the value against cloning, in units of the mean size of the values."""
     learning_rate: float = 3e-4
     """Step size of Adam for actor and critics."""
+
+    def can_be_padded(self) -> bool:
+        """Yes: what it averages and draws is of own dimensions."""
+        return type(self) is TD3BC
 
     def citations(self) -> tuple[citations.Citation, ...]:
         """TD3+BC."""

@@ -12,7 +12,6 @@ from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
-import jax.random as jr
 from jaxtyping import Array, Float, Int, PRNGKeyArray, PyTree
 
 from odaf.algorithms.base import Algorithm, LearnerState, Metrics
@@ -117,7 +116,7 @@ class TwinDelayed(Algorithm[TwinDelayedState]):
         assert state.actor.slow is not None and state.critics.slow is not None
         actions = act(state.actor.slow, batch.next_observations)
         if not is_off(self.target_noise):
-            noise = self.target_noise * jr.normal(key, batch.actions.shape)
+            noise = self.target_noise * batch.action_noise(key)
             actions = jnp.clip(actions + jnp.clip(noise, -self.noise_clip, self.noise_clip), -1.0, 1.0)
         return actions, CriticEnsemble(state.critics.slow)(batch.next_observations, actions)
 

@@ -3,18 +3,24 @@
 import math
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 LOG_TWO_PI = math.log(2.0 * math.pi)
 SQUASH_EPSILON = 1e-6
 
 
 def gaussian_log_density(
-    mean: Float[Array, "*rows act_dim"], log_std: Float[Array, "*rows act_dim"], action: Float[Array, "*rows act_dim"]
+    mean: Float[Array, "*rows act_dim"],
+    log_std: Float[Array, "*rows act_dim"],
+    action: Float[Array, "*rows act_dim"],
+    own: Bool[Array, " act_dim"] | None = None,
 ) -> Float[Array, "*rows"]:
-    """log N(a; mean, std^2) of a diagonal Gaussian that is not squashed, summed over action dimensions, in nats."""
+    """log N(a; mean, std^2) of a diagonal Gaussian that is not squashed, in nats.
+
+    Summed over action dimensions, or over those that are `own` (`odaf.data.padding`).
+    """
     noise = (action - mean) * jnp.exp(-log_std)
-    return jnp.sum(-0.5 * (jnp.square(noise) + LOG_TWO_PI) - log_std, axis=-1)
+    return _sum_of_own(-0.5 * (jnp.square(noise) + LOG_TWO_PI) - log_std, own)
 
 
 def tanh_gaussian_log_density(
@@ -42,12 +48,15 @@ def exact_tanh_gaussian_log_density(
 
 
 def exact_sample_tanh_gaussian(
-    mean: Float[Array, "*rows act_dim"], log_std: Float[Array, "*rows act_dim"], noise: Float[Array, "*rows act_dim"]
+    mean: Float[Array, "*rows act_dim"],
+    log_std: Float[Array, "*rows act_dim"],
+    noise: Float[Array, "*rows act_dim"],
+    own: Bool[Array, " act_dim"] | None = None,
 ) -> tuple[Float[Array, "*rows act_dim"], Float[Array, "*rows"]]:
     """As `sample_tanh_gaussian`, with the log-density's digits up to the bounds instead of a floor."""
     pre_tanh = mean + jnp.exp(log_std) * noise
     log_density = -0.5 * (jnp.square(noise) + LOG_TWO_PI) - log_std - _log_squash_slope(pre_tanh)
-    return jnp.tanh(pre_tanh), jnp.sum(log_density, axis=-1)
+    return jnp.tanh(pre_tanh), _sum_of_own(log_density, own)
 
 
 def _log_squash_slope(pre_tanh: Float[Array, "*rows act_dim"]) -> Float[Array, "*rows act_dim"]:
@@ -56,7 +65,10 @@ def _log_squash_slope(pre_tanh: Float[Array, "*rows act_dim"]) -> Float[Array, "
 
 
 def sample_tanh_gaussian(
-    mean: Float[Array, "*rows act_dim"], log_std: Float[Array, "*rows act_dim"], noise: Float[Array, "*rows act_dim"]
+    mean: Float[Array, "*rows act_dim"],
+    log_std: Float[Array, "*rows act_dim"],
+    noise: Float[Array, "*rows act_dim"],
+    own: Bool[Array, " act_dim"] | None = None,
 ) -> tuple[Float[Array, "*rows act_dim"], Float[Array, "*rows"]]:
     """Re-parameterised action tanh(mean + std * noise) and its log-density.
 
@@ -64,6 +76,7 @@ def sample_tanh_gaussian(
         mean: mean before squashing.
         log_std: log standard deviation before squashing, already clipped.
         noise: standard normal draws; gradients pass to mean and log_std.
+        own: the dimensions that log pi(a|s) is of, where actions are padded; None takes all.
 
     Returns:
         Actions in (-1, 1) and log pi(a|s), summed over action dimensions, in nats.
@@ -76,7 +89,11 @@ def sample_tanh_gaussian(
     action = jnp.tanh(pre_tanh)
     log_density = -0.5 * (jnp.square(noise) + LOG_TWO_PI) - log_std
     correction = jnp.log(1.0 - jnp.square(action) + SQUASH_EPSILON)
-    return action, jnp.sum(log_density - correction, axis=-1)
+    return action, _sum_of_own(log_density - correction, own)
+
+
+def _sum_of_own(terms: Float[Array, "*rows act_dim"], own: Bool[Array, " act_dim"] | None) -> Float[Array, "*rows"]:
+    return jnp.sum(terms if own is None else jnp.where(own, terms, 0.0), axis=-1)
 
 
 def gaussian_divergence(

@@ -5,7 +5,7 @@ import abc
 import equinox as eqx
 import jax.numpy as jnp
 import jax.random as jr
-from jaxtyping import Array, Float, PRNGKeyArray, PyTree
+from jaxtyping import Array, Bool, Float, PRNGKeyArray, PyTree
 
 from odaf.components.distributions import (
     exact_sample_tanh_gaussian,
@@ -88,19 +88,26 @@ class SquashedGaussianActor(Actor):
         return exact_tanh_gaussian_log_density(*self.parameters(observations), actions)
 
     def sample(
-        self, observations: Float[Array, "rows obs_dim"], noise: Float[Array, "rows act_dim"]
+        self,
+        observations: Float[Array, "rows obs_dim"],
+        noise: Float[Array, "rows act_dim"],
+        own: Bool[Array, " act_dim"] | None = None,
     ) -> tuple[Float[Array, "rows act_dim"], Float[Array, " rows"]]:
-        """Action for given standard normal noise, and its log-density; differentiable in everything."""
-        return self.squashed(*self.parameters(observations), noise)
+        """Action for given standard normal noise, and its log-density; differentiable in everything.
+
+        Where actions are padded, the log-density is that of the dimensions that are `own`.
+        """
+        return self.squashed(*self.parameters(observations), noise, own)
 
     def squashed(
         self,
         mean: Float[Array, "*rows act_dim"],
         log_std: Float[Array, "*rows act_dim"],
         noise: Float[Array, "*rows act_dim"],
+        own: Bool[Array, " act_dim"] | None = None,
     ) -> tuple[Float[Array, "*rows act_dim"], Float[Array, "*rows"]]:
         """tanh(mean + std * noise) and its log-density, which has the floor of SAC-N and its relatives."""
-        return sample_tanh_gaussian(mean, log_std, noise)
+        return sample_tanh_gaussian(mean, log_std, noise, own)
 
 
 class GaussianActor(SquashedGaussianActor):
@@ -136,9 +143,10 @@ class NarrowGaussianActor(SquashedGaussianActor):
         mean: Float[Array, "*rows act_dim"],
         log_std: Float[Array, "*rows act_dim"],
         noise: Float[Array, "*rows act_dim"],
+        own: Bool[Array, " act_dim"] | None = None,
     ) -> tuple[Float[Array, "*rows act_dim"], Float[Array, "*rows"]]:
         """tanh(mean + std * noise) and its log-density, exact up to the bounds."""
-        return exact_sample_tanh_gaussian(mean, log_std, noise)
+        return exact_sample_tanh_gaussian(mean, log_std, noise, own)
 
 
 class ExactGaussianActor(SquashedGaussianActor):
@@ -167,9 +175,10 @@ class ExactGaussianActor(SquashedGaussianActor):
         mean: Float[Array, "*rows act_dim"],
         log_std: Float[Array, "*rows act_dim"],
         noise: Float[Array, "*rows act_dim"],
+        own: Bool[Array, " act_dim"] | None = None,
     ) -> tuple[Float[Array, "*rows act_dim"], Float[Array, "*rows"]]:
         """tanh(mean + std * noise) and its log-density, exact up to the bounds."""
-        return exact_sample_tanh_gaussian(mean, log_std, noise)
+        return exact_sample_tanh_gaussian(mean, log_std, noise, own)
 
 
 def draw_actions(

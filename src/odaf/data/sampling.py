@@ -212,6 +212,24 @@ def _n_step_rows(dataset: Dataset, steps: int) -> tuple[np.ndarray, np.ndarray]:
     return last[kept], kept
 
 
+def padded_columns(columns: Columns, widths: tuple[int, int]) -> Columns:
+    """The rows of a data set with zeros behind, up to so many observations and actions (`odaf.data.padding`)."""
+    if not isinstance(columns, Transitions):
+        return replace(columns, columns=padded_columns(columns.columns, widths))
+    states, actions = widths
+
+    def wide(column: Float[Array, "rows width"], width: int) -> Float[Array, "rows {width}"]:
+        return jnp.pad(column, ((0, 0), (0, width - column.shape[1])))
+
+    return replace(
+        columns,
+        observations=wide(columns.observations, states),
+        actions=wide(columns.actions, actions),
+        next_observations=wide(columns.next_observations, states),
+        extras={name: wide(each, actions) if each.ndim > 1 else each for name, each in columns.extras.items()},
+    )
+
+
 def sample(columns: Columns, key: PRNGKeyArray | Array, batch_size: int) -> Transitions:
     """Draws `batch_size` rows with replacement: all alike, by weight, or by part of a mixture (`sample_mixed`).
 

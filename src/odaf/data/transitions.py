@@ -1,7 +1,13 @@
 """The batch a learner sees."""
 
+from dataclasses import replace
+
 import equinox as eqx
-from jaxtyping import Array, Float
+import jax.numpy as jnp
+import jax.random as jr
+from jaxtyping import Array, Bool, Float, PRNGKeyArray
+
+from odaf.data.padding import Padding
 
 
 class Transitions(eqx.Module):
@@ -18,8 +24,32 @@ class Transitions(eqx.Module):
     terminated: Float[Array, " batch"]  # 1.0 at a true end, else 0.0
     extras: dict[str, Float[Array, "batch *width"]] = eqx.field(default_factory=dict)  # those of the learner's `View`
     actor: "Transitions | None" = None  # of a batch: the actor's rows, where critics and actor draw apart
+    padding: Padding | None = None  # of a batch whose actions have more dimensions than its data set
 
     @property
     def for_actor(self) -> "Transitions":
         """The rows that the actor learns from: these, unless it has its own."""
         return self if self.actor is None else self.actor
+
+    @property
+    def own_actions(self) -> Bool[Array, " act_dim"] | None:
+        """Which dimensions of the actions are the data set's own; None if all are."""
+        return None if self.padding is None else self.padding.mask(self.actions.shape[1])
+
+    def action_noise(self, key: PRNGKeyArray) -> Float[Array, "batch act_dim"]:
+        """Standard normal draws, one for each number of the actions; 0 where a dimension is not the data set's own."""
+        if self.padding is None:
+            return jr.normal(key, self.actions.shape)
+        return self.padding.normal(key, *self.actions.shape)
+
+    def mean_over_actions(self, values: Float[Array, "batch act_dim"]) -> Float[Array, ""]:
+        """Mean over rows and over the data set's own dimensions."""
+        if self.padding is None:
+            return jnp.mean(values)
+        own = jnp.where(self.padding.mask(values.shape[1]), values, 0.0)
+        return jnp.sum(own) / (values.shape[0] * self.padding.own.astype(values.dtype))
+
+    def with_padding(self, padding: Padding) -> "Transitions":
+        """The same batch, the actor's rows included, that knows its own dimensions."""
+        actor = None if self.actor is None else replace(self.actor, padding=padding)
+        return replace(self, padding=padding, actor=actor)

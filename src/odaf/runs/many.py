@@ -8,24 +8,26 @@ import contextlib
 import itertools
 import os
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Unpack
 
 from odaf.algorithms import config
 from odaf.algorithms.base import Algorithm
+from odaf.algorithms.numbers import split
 from odaf.algorithms.registry import register_parts
 from odaf.data.dataset import Dataset
 from odaf.errors import ConfigError
 from odaf.evaluation.rollouts import Rollouts
 from odaf.evaluation.runs import Run
 from odaf.runs import fit as single
-from odaf.training.fit import open_run
+from odaf.training.fit import open_run, recorded_config
 from odaf.training.lanes import Lane, program_of, train_in_lanes
 from odaf.training.logging import Logger
 from odaf.training.progress import ProgressReport, default_progress
 from odaf.training.settings import RunSettings, SettingChanges, default_lanes, products_in
+from odaf.training.widths import Widths, widths_of
 
 
 @dataclass(frozen=True)
@@ -129,30 +131,31 @@ def fit_many(
     """
     settings = (settings or RunSettings()).with_changes(dict(changes))
     report = default_progress(progress)
-    programs: dict[Any, list[Plan]] = {}
-    for plan in runs:
-        programs.setdefault(program_of(plan.algorithm, plan.dataset), []).append(plan)
     wanted = settings.lanes or default_lanes(sum(plan.number(settings) for plan in runs))
+    programs = _programs(runs, settings)
+    if wanted > 1:
+        for line in _in_words(programs):
+            report.message(line)
     if isinstance(settings.evaluate, Rollouts) and len({id(plan.dataset) for plan in runs}) > 1:
         # All before the first: the turn of a later one may come hours after.
         for plan in {id(plan.dataset): plan for plan in runs if plan.evaluated}.values():
             single.close(single.evaluator_for(settings, plan.dataset))
     done: dict[Path, Run] = {}
-    for number, together in enumerate(programs.values(), 1):
+    for widths, together in programs:
         lanes = min(wanted, sum(plan.number(settings) for plan in together))
-        if len(programs) > 1 and wanted > 1:
-            report.message(
-                f"program {number} of {len(programs)}: {', '.join(str(plan.directory) for plan in together)}"
-            )
+        begun = max((config.get("lanes", 1) for config in _begun(together)), default=1)
+        if begun > 1 and begun <= (settings.lanes or begun):
+            lanes = begun  # though some of them may be done and not named again
         if lanes > 1:
-            done |= _in_lanes(together, replace(settings, lanes=lanes), report, loggers, asked_to_stop)
+            own = replace(settings, lanes=lanes, widths=widths)
+            done |= _in_lanes(together, own, report, loggers, asked_to_stop)
             continue
         for plan in together:
             done[plan.directory] = single.fit(
                 plan.algorithm,
                 plan.dataset,
                 directory=plan.directory,
-                settings=replace(plan.settings_of(settings), lanes=1),
+                settings=replace(plan.settings_of(settings), lanes=1, widths=None),
                 progress=report,
                 preset=plan.preset,
                 data_path=plan.data_path,
@@ -194,6 +197,50 @@ def _in_lanes(
             with products_in(lanes[0].seed.run.config["precision"]):
                 train_in_lanes(lanes, settings.lanes or 1, loggers, report, asked_to_stop)
     return found
+
+
+def _programs(runs: Sequence[Plan], settings: RunSettings) -> list[tuple[Widths | None, list[Plan]]]:
+    """Runs that share a program if they are lanes, and the widths that they are padded to."""
+    structures: dict[Any, list[Plan]] = {}
+    for plan in runs:
+        structures.setdefault(program_of(plan.algorithm, plan.dataset), []).append(plan)
+    programs: list[tuple[Widths | None, list[Plan]]] = []
+    for together in structures.values():
+        own: dict[Widths, list[Plan]] = {}
+        for plan in together:
+            own.setdefault(widths_of(plan.dataset.spec()), []).append(plan)
+        begun = _begun(together)
+        padded = [config["widths"] for config in begun if config.get("widths")]
+        if padded:  # what is gone on with keeps its program
+            programs.append(((padded[0][0], padded[0][1]), together))
+        elif begun:
+            programs += [(None, plans) for plans in own.values()]
+        elif settings.widths is None and len(own) > 1:
+            programs.append(((max(states for states, _ in own), max(actions for _, actions in own)), together))
+        else:
+            programs.append((settings.widths, together))
+    return programs
+
+
+def _begun(runs: Sequence[Plan]) -> list[dict[str, Any]]:
+    """The records of those that are gone on with."""
+    return [config for plan in runs if (config := recorded_config(plan.directory)) is not None]
+
+
+def _in_words(programs: Sequence[tuple[Widths | None, list[Plan]]]) -> Iterator[str]:
+    """What is trained together, and where not, why."""
+    for number, (widths, together) in enumerate(programs, 1):
+        padded = f"; observations and actions padded to {widths[0]} and {widths[1]}" if widths else ""
+        if padded or len(programs) > 1:
+            where = ", ".join(str(plan.directory) for plan in together)
+            yield f"program {number} of {len(programs)}: {where}{padded}"
+    apart: dict[Any, set[Widths]] = {}
+    for _, (first, *_) in programs:
+        if not first.algorithm.can_be_padded():
+            apart.setdefault(split(first.algorithm)[0], set()).add(widths_of(first.dataset.spec()))
+    for structure, widths in apart.items():
+        if len(widths) > 1:
+            yield f"{structure.kind} has no padded form with these settings: data sets of other widths train apart"
 
 
 def _stems_differ(paths: Sequence[Path]) -> bool:

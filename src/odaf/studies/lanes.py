@@ -31,6 +31,8 @@ def train_together(
 ) -> bool:
     """Trains the jobs that are trainings, those that share a program in lanes of it, in the order of the first of each.
 
+    Logs of other widths share one too where the method can be padded.
+
     A training whose directory holds a shorter run, or one that was begun in another way, is left to `perform`.
 
     Args:
@@ -56,6 +58,8 @@ def train_together(
         learner, path = work.learner(), work.log.present(place)
         dataset = _loaded(path)
         course = (work.steps, work.checkpoint_every, work.task.evaluation.every, work.task.evaluation.episodes)
+        # What is gone on with keeps the lanes that it was begun among, though the records of others are made since.
+        course = (*course, begun_among(work, place))
         plan = Plan(learner, dataset, work.directory(place), work.preset, path, (work.seed,))
         groups.setdefault((program_of(learner, dataset), course), []).append((plan, work))
     for number, group in enumerate(groups.values(), 1):
@@ -66,7 +70,7 @@ def train_together(
         try:
             fit_many(
                 [plan for plan, _ in group],
-                lanes=min(lanes or len(group), len(group)),
+                lanes=begun_among(first, place) or min(lanes or len(group), len(group)),
                 steps=first.steps,
                 evaluate=Rollouts(episodes=first.task.evaluation.episodes, every=first.task.evaluation.every),
                 checkpoint_every=first.checkpoint_every,
@@ -80,6 +84,14 @@ def train_together(
                 raise
             return False
     return True
+
+
+def begun_among(work: Training, place: Path) -> int | None:
+    """Lanes of the program in which a training was begun; None if nothing is there yet."""
+    from odaf.training.fit import recorded_config
+
+    config = recorded_config(work.directory(place))
+    return None if config is None else config.get("lanes", 1)
 
 
 def at_its_end(job: Job, place: Path) -> bool:

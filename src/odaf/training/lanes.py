@@ -1,7 +1,8 @@
 """Many trainings in one compiled program, each a run's seed in its own files, as if it were alone.
 
 Lanes of one program have one structure: the same learner but for its traced numbers, the same sizes, the same course of
-updates, checkpoints and evaluations. They differ in seed, in numbers, and in the data set they draw from.
+updates, checkpoints and evaluations. They differ in seed, in numbers, and in the data set they draw from; of learners
+that can be padded, in its widths too.
 
 The program has a fixed number of lanes. Where fewer are left to train, the rest repeat the first one, so that a
 training that is gone on with meets the program it was begun in, and keeps its bits, whoever is trained beside it.
@@ -22,7 +23,8 @@ from odaf.algorithms.base import Algorithm
 from odaf.algorithms.numbers import split
 from odaf.components.together import run_together
 from odaf.data.dataset import Dataset
-from odaf.data.sampling import Columns, WeightedColumns, training_column_shapes, training_columns
+from odaf.data.padding import Padding
+from odaf.data.sampling import Columns, WeightedColumns, padded_columns, training_column_shapes, training_columns
 from odaf.data.transitions import Transitions
 from odaf.errors import ConfigError, OdafError
 from odaf.training import loop, run_directory
@@ -33,6 +35,7 @@ from odaf.training.memory import give_back_freed_memory
 from odaf.training.progress import ProgressReport
 from odaf.training.seeds import SeedTraining
 from odaf.training.settings import products_in
+from odaf.training.widths import PaddedState, Widths, widths_of, with_widths
 
 # Share of an accelerator's memory that a program may take.
 _SHARE_OF_MEMORY = 0.9
@@ -58,7 +61,7 @@ def program_of(algorithm: Algorithm, dataset: Dataset) -> tuple[Any, ...]:
     structure = split(algorithm)[0]
     # Where batches are mixed from two parts, the border between them is part of the program.
     mixed = None if dataset.mixture is None else (id(dataset), algorithm.drawn_view())
-    return structure, dataset.obs_dim, dataset.act_dim, mixed
+    return structure, None if algorithm.can_be_padded() else widths_of(dataset.spec()), mixed
 
 
 def train_in_lanes(
@@ -105,13 +108,17 @@ class _Program:
             sources.setdefault(_source(lane), lane)
         self._places = {source: index for index, source in enumerate(sources)}
         began = time.perf_counter()
+        padded = _widths(lanes)
         shapes = [
             training_column_shapes(lane.dataset, lane.seed.run.algorithm.drawn_view()) for lane in sources.values()
         ]
-        together = shapes[0] if len(shapes) == 1 else jax.eval_shape(_joined, shapes)
-        state = run_directory.blank_state(learner, spec)
+        together = jax.eval_shape(functools.partial(_joined, padded), shapes)
+        state = run_directory.blank_state(learner, spec if padded is None else with_widths(spec, padded))
+        specs = {widths_of(lane.seed.run.spec): lane.seed.run.spec for lane in lanes}
+        self._padded = {} if padded is None else {own: PaddedState(learner, specs[own], padded) for own in specs}
+        self._actions = tuple(sorted({actions for _, actions in self._padded}))
         self.width, self.train = _that_fits(
-            lambda lanes: loop.compiled_lanes(learner, together, len(shapes) > 1, state, lanes), width
+            lambda lanes: loop.compiled_lanes(learner, together, len(shapes) > 1, state, lanes, self._actions), width
         )
         give_back_freed_memory()
         self.compile_seconds = time.perf_counter() - began
@@ -120,11 +127,34 @@ class _Program:
             for lane in sources.values()
         ]
         self._rows = [_rows(each) for each in columns]
-        self.columns = columns[0] if len(columns) == 1 else jax.block_until_ready(jax.jit(_joined)(columns))
+        if len(columns) > 1 or padded is not None:
+            join = jax.jit(functools.partial(_joined, padded))
+            self.columns = jax.block_until_ready(join(columns))
+        else:
+            self.columns = columns[0]
 
     def filled(self, lanes: Sequence[Any]) -> list[Any]:
         """As many as the program has lanes: the first one again for those that are missing."""
         return [*lanes, *[lanes[0]] * (self.width - len(lanes))]
+
+    def stacked(self, lanes: Sequence[Lane], states: Sequence[Any]) -> Any:
+        """The lanes' states, of as many lanes as the program has."""
+        if self._padded:
+            states = [
+                self._padded[widths_of(lane.seed.run.spec)].pad(each) for lane, each in zip(lanes, states, strict=True)
+            ]
+        return loop.stacked(self.filled(states))
+
+    def lane(self, states: Any, place: int, lane: Lane) -> Any:
+        """The state of one lane, at its own widths."""
+        if self._padded:
+            return self._padded[widths_of(lane.seed.run.spec)].lane(states, place)
+        return loop.lane(states, place)
+
+    def padding(self, lanes: Sequence[Lane]) -> Padding | None:
+        """What each lane's batches have of their own."""
+        own = [lane.seed.run.spec.act_dim for lane in lanes]
+        return loop.padding_of(own, self._actions) if self._padded else None
 
     def slabs(self, lanes: Sequence[Lane]) -> loop.Slabs | None:
         """Where each lane's rows lie."""
@@ -155,7 +185,7 @@ def _train(
     places = range(len(seeds))
     all_lanes = program.filled(lanes)
     _, numbers = loop.split_lanes([lane.seed.run.algorithm for lane in all_lanes])
-    slabs = program.slabs(all_lanes)
+    slabs, padding = program.slabs(all_lanes), program.padding(all_lanes)
     keys = jnp.stack([loop.training_key(lane.seed.seed) for lane in all_lanes])
     told = functools.partial(report.message, "stopping; lanes save after this stretch (Ctrl-C again: stops at once)")
     with contextlib.ExitStack() as stack:
@@ -163,7 +193,7 @@ def _train(
         for lane in lanes:
             own = [copy.deepcopy(logger) for logger in loggers]
             begun.append(stack.enter_context(lane.seed.opened(lane.dataset, program.compile_seconds, own)))
-        states = loop.stacked(program.filled(begun))
+        states = program.stacked(lanes, begun)
         begun.clear()
         going = [place for place in places if seeds[place].step < seeds[place].steps]
         stopping = False
@@ -175,7 +205,7 @@ def _train(
                 kept = None if len(moving) == len(going) else jax.tree.map(jnp.copy, states)
                 first, last = loop.update_number(step), loop.update_number(stop)
                 began = time.perf_counter()
-                states, reduced = program.train(numbers, program.columns, slabs, keys, first, last, states)
+                states, reduced = program.train(numbers, program.columns, slabs, keys, first, last, states, padding)
                 interrupt.wait_for(reduced)
                 metrics = jax.device_get(reduced)
                 took = time.perf_counter() - began
@@ -184,7 +214,7 @@ def _train(
                 stopping = interrupt.came or asked_to_stop()  # once, so that all lanes are saved at one update
                 for place in moving:
                     own = {name: float(values[place]) for name, values in metrics.items()}
-                    state = functools.partial(loop.lane, states, place)
+                    state = functools.partial(program.lane, states, place, lanes[place])
                     try:
                         seeds[place].trained_to(stop, own, took, state, stopping)
                     except KeyboardInterrupt:
@@ -256,8 +286,34 @@ def _rows(columns: Columns) -> int:
     return columns.rewards.shape[0] if isinstance(columns, Transitions | WeightedColumns) else 0
 
 
-def _joined(columns: Sequence[Any]) -> Any:
-    return jax.tree.map(lambda *parts: jnp.concatenate(parts), *columns)
+def _joined(padded: Widths | None, columns: Sequence[Any]) -> Any:
+    if padded is not None:
+        columns = [padded_columns(each, padded) for each in columns]
+    return columns[0] if len(columns) == 1 else jax.tree.map(lambda *parts: jnp.concatenate(parts), *columns)
+
+
+def _widths(lanes: Sequence[Lane]) -> Widths | None:
+    """What the lanes are padded to, as their runs say.
+
+    Raises:
+        ConfigError: the learner cannot be padded, or a data set is wider.
+    """
+    asked = lanes[0].seed.run.config.get("widths")
+    if asked is None:
+        return None
+    for lane in lanes:
+        own = widths_of(lane.seed.run.spec)
+        if not lane.seed.run.algorithm.can_be_padded():
+            raise ConfigError(
+                f"widths: {lane.seed.run.algorithm.kind} has no padded form with these settings; leave them out, and "
+                "data sets of other widths get a program of their own"
+            )
+        if own[0] > asked[0] or own[1] > asked[1]:
+            raise ConfigError(
+                f"widths: {tuple(asked)} asked, but the data of {lane.seed.run.path} have {own[0]} observations and "
+                f"{own[1]} actions; ask for as many at least"
+            )
+    return asked[0], asked[1]
 
 
 def _merged(after: Any, before: Any, moved: Sequence[bool]) -> Any:

@@ -18,6 +18,7 @@ from jaxtyping import Array, Float, Int, Key, PRNGKeyArray
 
 from odaf.algorithms.base import Algorithm
 from odaf.algorithms.numbers import Numbers, joined, split
+from odaf.data.padding import Padding
 from odaf.data.sampling import Columns, Slab, WeightedColumns
 from odaf.data.spec import Spec
 from odaf.data.transitions import Transitions
@@ -122,6 +123,7 @@ def train_lanes(
     first: Int[Array, ""],
     last: Int[Array, ""],
     states: Any,
+    padding: Padding | None = None,
 ) -> tuple[Any, dict[str, Float[Array, " lanes"]]]:
     """`train_stretch` for many trainings in one compiled call; each lane is a training of its own.
 
@@ -136,13 +138,14 @@ def train_lanes(
         first: updates that `states` have had, the same for all lanes.
         last: updates that the result will have had.
         states: the `stacked` states of the lanes. Their memory is given to the result: do not use them again.
+        padding: whose `own` has a leading axis [lanes], where rows and states are padded to the widest lane's.
 
     Returns:
         The stacked states after `last` updates, and one number a metric and lane. A lane agrees with the single run up
         to rounding, since products over many lanes are compiled differently; it does not depend on what the other lanes
         hold.
     """
-    return _train_lanes(structure, numbers, columns, slabs, keys, first, last, states)
+    return _train_lanes(structure, numbers, columns, slabs, keys, first, last, states, padding)
 
 
 @functools.partial(jax.jit, static_argnames="structure", donate_argnames="states")
@@ -155,14 +158,17 @@ def _train_lanes(
     first: Int[Array, ""],
     last: Int[Array, ""],
     states: Any,
+    padding: Padding | None,
 ) -> tuple[Any, dict[str, Float[Array, " lanes"]]]:
-    def one(numbers: Numbers, slab: Any, key: PRNGKeyArray, state: Any) -> tuple[Any, dict[str, Array]]:
+    def one(
+        numbers: Numbers, slab: Any, key: PRNGKeyArray, state: Any, padding: Padding | None
+    ) -> tuple[Any, dict[str, Array]]:
         own = (
             Slab(columns, *slab) if slab is not None and isinstance(columns, Transitions | WeightedColumns) else columns
         )
-        return _stretch(joined(structure, numbers), own, None, first, last, key, state)
+        return _stretch(joined(structure, numbers), own, None, first, last, key, state, padding)
 
-    return jax.vmap(one)(numbers, slabs, keys, states)
+    return jax.vmap(one)(numbers, slabs, keys, states, padding)
 
 
 # `train_stretch` for one learner and shape of its data: of columns, key, first, last and state.
@@ -185,8 +191,10 @@ def compiled_stretch(algorithm: Algorithm, columns: Columns, state: Any) -> Comp
     return functools.partial(compiled, numbers)
 
 
-def compiled_lanes(algorithm: Algorithm, columns: Columns, slabs: bool, state: Any, lanes: int) -> Any:
-    """`train_lanes` compiled for shapes alone: takes numbers, columns, slabs, keys, first, last and states.
+def compiled_lanes(
+    algorithm: Algorithm, columns: Columns, slabs: bool, state: Any, lanes: int, actions: tuple[int, ...] = ()
+) -> Any:
+    """`train_lanes` compiled for shapes alone: takes numbers, columns, slabs, keys, first, last, states and padding.
 
     Args:
         algorithm: any of the lanes' learners.
@@ -194,6 +202,7 @@ def compiled_lanes(algorithm: Algorithm, columns: Columns, slabs: bool, state: A
         slabs: whether each lane has a part of them to draw from.
         state: `run_directory.blank_state` of the learner.
         lanes: how many trainings are in one call.
+        actions: numbers of action dimensions that occur, where rows and state are padded; () is for all of one width.
     """
     structure, numbers = split(algorithm)
 
@@ -205,7 +214,13 @@ def compiled_lanes(algorithm: Algorithm, columns: Columns, slabs: bool, state: A
     key = wide(jax.eval_shape(lambda: training_key(0)))
     many, states = jax.tree.map(wide, numbers), jax.tree.map(wide, state)
     borders = (row, row) if slabs else None
-    return _train_lanes.lower(structure, many, columns, borders, key, number, number, states).compile()
+    padding = jax.eval_shape(lambda: padding_of([0] * lanes, actions)) if actions else None
+    return _train_lanes.lower(structure, many, columns, borders, key, number, number, states, padding).compile()
+
+
+def padding_of(own: Sequence[int], widths: tuple[int, ...]) -> Padding:
+    """The padding of lanes whose actions have so many dimensions of their own, of the `widths` that occur."""
+    return Padding(jnp.asarray(own, jnp.int32), widths)
 
 
 def update_number(step: int) -> Int[Array, ""]:
@@ -258,6 +273,7 @@ def _stretch(
     last: Int[Array, ""],
     key: PRNGKeyArray,
     state: Any,
+    padding: Padding | None = None,
 ) -> tuple[Any, dict[str, Array]]:
     def refreshed(state: Any, step: Int[Array, ""]) -> Any:
         key_refresh = jr.fold_in(jr.fold_in(key, _REFRESH), step)
@@ -270,6 +286,8 @@ def _stretch(
             is_due = step % algorithm.refresh_every == 0
             state = jax.lax.cond(is_due, refreshed, lambda state, _: state, state, step)
         batch = algorithm.batch(state, columns, key_sample)
+        if padding is not None:
+            batch = batch.with_padding(padding)
         if mesh is not None:
             batch = jax.lax.with_sharding_constraint(batch, NamedSharding(mesh, PartitionSpec(_BATCH)))
         after, metrics = algorithm.update(state, batch, key_update)

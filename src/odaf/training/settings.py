@@ -28,8 +28,8 @@ _GRADES = {
 }  # fmt: skip
 # A run's directory belongs to these; the rest only says how the machine is shared, or what a warning leads to.
 _COMPARED = (
-    "steps", "seeds", "evaluate", "checkpoint_every", "keep_checkpoints", "stretch", "lanes", "cores", "device",
-    "precision",
+    "steps", "seeds", "evaluate", "checkpoint_every", "keep_checkpoints", "stretch", "lanes", "widths", "cores",
+    "device", "precision",
 )  # fmt: skip
 
 
@@ -72,6 +72,9 @@ class RunSettings:
     lanes: int | None = None
     """Trainings (seeds, settings, data sets) in one compiled program; the bits of a run belong to their number. 1
     trains each alone. Without it, 1 on a processor, and on an accelerator all, or as many as its memory holds."""
+    widths: tuple[int, int] | None = None
+    """Observations and actions that lanes are padded to, so that data sets of other widths share the program; for
+    methods that can be padded. Without it, those of the widest data set among several trained together."""
     cores: int | None = None
     """Processor cores that the training of a seed is laid out for; the bits of a run belong to their number. Without
     it, each worker's share of the cores, and for a run that is gone on with the number it was begun with."""
@@ -85,6 +88,8 @@ class RunSettings:
         object.__setattr__(self, "seeds", tuple(int(seed) for seed in self.seeds))
         if self.keep_checkpoints != "all":
             object.__setattr__(self, "keep_checkpoints", tuple(map(int, self.keep_checkpoints)))
+        if self.widths is not None:
+            object.__setattr__(self, "widths", tuple(map(int, self.widths)))
         names = ("steps", "checkpoint_every", "stretch", "workers", "lanes", "cores")
         counts = {name: getattr(self, name) for name in names}
         if self.evaluate is not None:
@@ -92,6 +97,8 @@ class RunSettings:
         for name, value in counts.items():
             if value is not None and value < 1:
                 raise ConfigError(f"{name}: must be at least 1, got {value}")
+        if self.widths is not None and min(self.widths) < 1:
+            raise ConfigError(f"widths: must be at least 1 each, got {self.widths}")
         if self.steps >= 2**31:
             raise ConfigError(f"steps: must be below 2^31, got {self.steps}")
         distinct, allowed = len(set(self.seeds)) == len(self.seeds), all(0 <= seed < 2**32 for seed in self.seeds)
@@ -134,7 +141,7 @@ class RunSettings:
         Args:
             recorded: `config.json` of the run that is gone on with, if there is one; it fills what is open first.
         """
-        names = ("workers", "lanes", "cores", "device", "precision")
+        names = ("workers", "lanes", "widths", "cores", "device", "precision")
         known = {name: recorded.get(name) for name in names} if recorded else {}
         lanes = self.lanes or known.get("lanes") or (1 if recorded else default_lanes(len(self.seeds)))
         workers = self.workers or known.get("workers") or (1 if lanes == 1 else default_players())
@@ -144,7 +151,12 @@ class RunSettings:
         if self.precision == "tensorfloat32" and device != "gpu":
             raise ConfigError(f"precision: tensorfloat32 is a format of GPUs, this is a {device}; take float32")
         precision = self.precision or known.get("precision") or _precision_now()
-        return replace(self, workers=workers, lanes=lanes, cores=cores, device=device, precision=precision)
+        widths = self.widths or known.get("widths")
+        if widths is not None and lanes == 1:
+            raise ConfigError("widths: lanes are padded, and this run has none; leave it out, or ask for lanes")
+        return replace(
+            self, workers=workers, lanes=lanes, widths=widths, cores=cores, device=device, precision=precision
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Plain JSON types, as they stand in `config.json`."""
@@ -153,6 +165,7 @@ class RunSettings:
         return values | {
             "seeds": list(self.seeds),
             "keep_checkpoints": keep if keep == "all" else list(keep),
+            "widths": None if self.widths is None else list(self.widths),
             "evaluate": None if self.evaluate is None else self.evaluate.to_dict(),
         }
 
@@ -167,6 +180,8 @@ class RunSettings:
         values = {name: config[name] for name in names}
         if isinstance(keep := values.get("keep_checkpoints"), list):
             values["keep_checkpoints"] = tuple(keep)
+        if values.get("widths") is not None:
+            values["widths"] = tuple(values["widths"])
         return cls(**values)
 
 
@@ -227,6 +242,7 @@ class SettingChanges(TypedDict, total=False):
     on_divergence: OnDivergence
     workers: int | None
     lanes: int | None
+    widths: tuple[int, int] | None
     cores: int | None
     device: Device | None
     precision: Precision | None
