@@ -3,8 +3,9 @@
 Layout, version 1: root attributes `format` = "odaf-dataset", `version` = 1, `sha256`; one data set per array of
 `Dataset` under its own name; `infos/NAME` for each further column; and `metadata`, a JSON text with the names and units
 of the columns and the provenance. Version 2 adds `mixture` to that text; data without one are written as version 1, for
-readers that know of no mixtures and would draw all rows evenly. The checksum covers names, types, shapes and bytes of
-all arrays and the metadata, not the HDF5 packing around them.
+readers that know of no mixtures and would draw all rows evenly. Version 3 holds the columns of `HALVED` in half
+precision; its numbers are those of a data set that was rounded before (`odaf.data.half_precision`). The checksum covers
+names, types, shapes and bytes of all arrays, as learners see them, and the metadata, not the HDF5 packing around them.
 """
 
 import contextlib
@@ -26,16 +27,19 @@ from odaf.data.rows import Rows
 from odaf.errors import DatasetError
 
 FORMAT = "odaf-dataset"
-VERSION = 2
+VERSION = 3
+# What a file of half precision holds in two bytes a number.
+HALVED = ("observations", "actions", "rewards", "next_observations")
 
 
-def write(dataset: Rows, path: str | os.PathLike[str], progress: Progress | None = None) -> None:
+def write(dataset: Rows, path: str | os.PathLike[str], progress: Progress | None = None, half: bool = False) -> None:
     """Writes `dataset` to `path` through a temporary file beside it that is renamed when complete.
 
     Args:
         dataset: the data.
         path: the file.
         progress: told how far it has come, in bytes summed and bytes written.
+        half: whether its columns are written in half precision, which must hold each of their numbers.
 
     Raises:
         DatasetError: the folder does not exist or cannot be written to.
@@ -45,10 +49,10 @@ def write(dataset: Rows, path: str | os.PathLike[str], progress: Progress | None
     # The library version sets a layout whose own bookkeeping is checksummed, so damage there is noticed too.
     with replacing(path) as partial, h5py.File(partial, "w", libver=("v110", "v110")) as file:
         file.attrs["format"] = FORMAT
-        file.attrs["version"] = 1 if dataset.mixture is None else VERSION
+        file.attrs["version"] = 3 if half else 1 if dataset.mixture is None else 2
         file.attrs["sha256"] = fingerprint.checksum(arrays, text, counter.add)
         for name, array in arrays.items():
-            dtype = fingerprint.stored_dtype(name, array)
+            dtype = np.dtype("<f2") if half and name in HALVED else fingerprint.stored_dtype(name, array)
             item = file.create_dataset(name, array.shape, dtype)
             rows = max(1, fingerprint.PIECE * len(array) // max(array.nbytes, 1))
             for first in range(0, len(array), rows):
@@ -160,7 +164,7 @@ def read(file: h5py.File, source: str, progress: Progress | None = None) -> dict
         counter = Counter(2 * sum(array_item(file, source, name).nbytes for name in (*FIELDS, *infos)), progress)
         arrays: dict[str, np.ndarray] = {}
         for name in (*FIELDS, *infos):
-            arrays[name] = read_array(file, source, name)
+            arrays[name] = _widened(file, name, read_array(file, source, name))
             if name in FIELDS:
                 _require_type(source, name, arrays[name], *FIELDS[name])
             counter.add(arrays[name].nbytes)
@@ -186,7 +190,7 @@ def open_log(path: str | os.PathLike[str]) -> Log:
             raise DatasetError(f"{source}: no attribute 'format', so this is no odaf dataset; name its layout")
         stored = _stored_checksum(file, source)
         with reading(source):
-            arrays = {name: _mapped(file, source, name) for name in FIELDS}
+            arrays = {name: _widened(file, name, _mapped(file, source, name)) for name in FIELDS}
             for name, (dtype, axes) in FIELDS.items():
                 _require_type(source, name, arrays[name], dtype, axes)
             arrays |= {f"infos/{name}": _mapped(file, source, f"infos/{name}") for name in _info_names(file, source)}
@@ -208,6 +212,12 @@ def open_log(path: str | os.PathLike[str]) -> Log:
         findings=tuple(provenance.get("findings", ())),
         **names,
     )
+
+
+def _widened(file: h5py.File, name: str, array: np.ndarray) -> np.ndarray:
+    """A column as learners see it: in single precision, if a file of version 3 holds it in half."""
+    halved = name in HALVED and int(file.attrs["version"]) >= 3 and array.dtype == np.dtype("<f2")
+    return array.astype(np.float32) if halved else array
 
 
 class EpisodeNumbers:
