@@ -36,7 +36,7 @@ def test_what_is_carried_is_what_was_rounded_to_the_last_bit(tmp_path):
     found.save(again)
     assert fingerprint.record(Dataset.load(again)) == fingerprint.record(found)
     with storage.opened(half) as (file, _):
-        assert file.attrs["version"] == 3 and file["observations"].dtype == np.float16
+        assert file.attrs["version"] == 3 and storage.read_array(file, "half", "observations").dtype == np.float16
     assert storage.open_log(half).columns["observations"][:].dtype == np.float32
 
 

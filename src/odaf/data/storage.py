@@ -164,7 +164,7 @@ def read(file: h5py.File, source: str, progress: Progress | None = None) -> dict
         counter = Counter(2 * sum(array_item(file, source, name).nbytes for name in (*FIELDS, *infos)), progress)
         arrays: dict[str, np.ndarray] = {}
         for name in (*FIELDS, *infos):
-            arrays[name] = _widened(file, name, read_array(file, source, name))
+            arrays[name] = _widened(name, read_array(file, source, name))
             if name in FIELDS:
                 _require_type(source, name, arrays[name], *FIELDS[name])
             counter.add(arrays[name].nbytes)
@@ -190,7 +190,7 @@ def open_log(path: str | os.PathLike[str]) -> Log:
             raise DatasetError(f"{source}: no attribute 'format', so this is no odaf dataset; name its layout")
         stored = _stored_checksum(file, source)
         with reading(source):
-            arrays = {name: _widened(file, name, _mapped(file, source, name)) for name in FIELDS}
+            arrays = {name: _widened(name, _mapped(file, source, name)) for name in FIELDS}
             for name, (dtype, axes) in FIELDS.items():
                 _require_type(source, name, arrays[name], dtype, axes)
             arrays |= {f"infos/{name}": _mapped(file, source, f"infos/{name}") for name in _info_names(file, source)}
@@ -214,10 +214,9 @@ def open_log(path: str | os.PathLike[str]) -> Log:
     )
 
 
-def _widened(file: h5py.File, name: str, array: np.ndarray) -> np.ndarray:
-    """A column as learners see it: in single precision, if a file of version 3 holds it in half."""
-    halved = name in HALVED and int(file.attrs["version"]) >= 3 and array.dtype == np.dtype("<f2")
-    return array.astype(np.float32) if halved else array
+def _widened(name: str, array: np.ndarray) -> np.ndarray:
+    """A column as learners see it: in single precision, if the file holds it in half."""
+    return array.astype(np.float32) if name in HALVED and array.dtype == np.dtype("<f2") else array
 
 
 class EpisodeNumbers:
