@@ -2,15 +2,23 @@
 
 For each learner and number of lanes: updates a second of all lanes together, seconds to compile, and the memory that
 the program takes. On a processor the same trainings are also made in processes, one a core, in rounds that take turns
-with the lanes; that is what `odaf train` does there. Peers are timed by `peer_d3rlpy.py` and `updates_per_second.py`.
+with the lanes; that is what `odaf train` does there.
+
+`--course N` also trains the most lanes for N updates as a user does, with what is fitted beforehand and evaluations in
+the maze that the package ships, once played beside the training and once not; its seconds are those of the runs' own
+records. `--peers DIR` times the peers whose code lies there (a checkout of CORL).
 
     python benchmarks/lanes.py --sizes 64 64 --critics 4 --lanes 8 --json benchmarks/last/lanes.json
+    python benchmarks/lanes.py --lanes 1 4 16 64 --updates 1000 --course 20000 --peers ../CORL
 """
 
 import argparse
 import functools
+import json
 import statistics
+import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 from typing import Any
@@ -20,11 +28,16 @@ import jax.random as jr
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+import odaf
 from benchmarks import learners
 from benchmarks.machine import machine, write_figures
+from odaf.environments import stitch_data
 from odaf.runs import presets
 from odaf.runs.workers import cores, run_jobs
 from odaf.training import loop
+from odaf.training.settings import Precision, RunSettings, products_in
+
+_PEER = Path("algorithms", "offline", "sac_n.py")  # of CORL
 
 Setting = tuple[str, tuple[int, ...], int, int]
 """Preset, hidden sizes, critics, batch size."""
@@ -87,6 +100,37 @@ def _alone(job: tuple[Setting, int, int, float]) -> float:
     return updates / (time.perf_counter() - before)
 
 
+def course(setting: Setting, lanes: int, steps: int, workers: int, precision: Precision) -> dict[str, float]:
+    """Seconds of a whole run of so many seeds in lanes, by what they went to; those of `evaluate` are waited for."""
+    with tempfile.TemporaryDirectory(prefix="odaf-lanes-") as folder:
+        file = Path(folder, "maze.h5")
+        stitch_data.generate(stitch_data.CONFIGS["stitch"].with_repeats(8), seed=0).save(file)
+        every = max(1, steps // 4)
+        run = odaf.fit(
+            learner(setting), file, directory=Path(folder, "run"), steps=steps, seeds=range(lanes), lanes=lanes,
+            workers=workers, evaluate=odaf.Rollouts(episodes=5, every=every), checkpoint_every=every,
+            precision=precision, progress=False,
+        )  # fmt: skip
+        seconds = [summary["seconds"] for summary in run.summary.values()]
+    return {name: max(each[name] for each in seconds) for name in ("pretrain", "compile", "train", "evaluate", "total")}
+
+
+def peers(folder: Path, python: str) -> dict[str, Any]:
+    """Figures of the peers whose code lies in the folder; what is missing is said."""
+    if not (folder / _PEER).is_file():
+        print(f"--peers {folder}: no {_PEER} there, so no peer is timed; give a checkout of CORL")
+        return {}
+    command = [python, str(Path(__file__).with_name("peer_corl.py")), str(folder)]
+    done = subprocess.run(command, capture_output=True, text=True)
+    if done.returncode:
+        print(f"--peers {folder}: {done.stderr.strip().splitlines()[-1]}; --peer-python names one that has PyTorch")
+        return {}
+    found = json.loads(done.stdout.splitlines()[-1])
+    for name, figures in found.items():
+        print(f"{name}: {figures['updates_per_second']:,.0f} updates/s, {figures['products']} products")
+    return found
+
+
 def main(arguments: list[str] | None = None) -> None:
     """Measure each learner, print one line for each number of lanes, and write the figures if asked to."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -98,10 +142,21 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--updates", type=int, default=200, help="updates of a lane in one round")
     parser.add_argument("--rounds", type=int, default=3, help="rounds; the median is reported")
     parser.add_argument("--wait", type=float, default=40.0, help="seconds in which every process must have compiled")
+    parser.add_argument("--course", type=int, metavar="UPDATES", help="also train the most lanes so long, in the maze")
+    parser.add_argument("--precision", choices=["float32", "tensorfloat32"], default="float32", help="of the products")
+    parser.add_argument("--peers", type=Path, metavar="DIR", help="a folder of peers' code")
+    parser.add_argument("--peer-python", default=sys.executable, help="interpreter that the peers need")
     parser.add_argument("--json", type=Path, help="file for the figures")
     options = parser.parse_args(arguments)
+    RunSettings(precision=options.precision).resolved()  # refuses what this device does not have
+    with products_in(options.precision):
+        measure(options)
 
-    about, figures = machine(), []
+
+def measure(options: argparse.Namespace) -> None:
+    """Each learner, one line for each number of lanes."""
+
+    about, figures, courses = machine(), [], []
     for preset in options.learners:
         setting = (preset, tuple(options.sizes), options.critics, options.batch)
         for lanes in options.lanes:
@@ -120,7 +175,7 @@ def main(arguments: list[str] | None = None) -> None:
                     "critics": options.critics,
                     "batch": options.batch,
                     "lanes": lanes,
-                    "products": str(jax.config.values["jax_default_matmul_precision"] or "default"),
+                    "products": options.precision,
                     "updates_per_second": found,
                     "rounds": speeds,
                     "compile_seconds": seconds,
@@ -135,6 +190,19 @@ def main(arguments: list[str] | None = None) -> None:
                 flush=True,
             )
             write_figures(options.json, about, {"figures": figures})  # so far: the time may end before the last
+        if options.course:
+            lanes = max(options.lanes)
+            for way, workers in (("beside", max(2, cores() - 1)), ("waited for", 1)):
+                seconds = course(setting, lanes, options.course, workers, options.precision)
+                courses.append(
+                    {"learner": preset, "lanes": lanes, "updates": options.course, "evaluation": way, **seconds}
+                )
+                words = ", ".join(f"{name} {value:.0f} s" for name, value in seconds.items())
+                print(f"{preset}, {lanes} lanes of {options.course:,} updates, evaluation {way}: {words}", flush=True)
+                write_figures(options.json, about, {"figures": figures, "courses": courses})
+    if options.peers is not None:
+        found = peers(options.peers, options.peer_python)
+        write_figures(options.json, about, {"figures": figures, "courses": courses, "peers": found})
 
 
 if __name__ == "__main__":

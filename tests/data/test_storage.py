@@ -227,7 +227,7 @@ def flip_one_bit(file):
 EDITS = {
     "another format": (set_attribute("format", "odaf-run"), "says its format is 'odaf-run', expected 'odaf-dataset'"),
     "format of no type": (set_attribute("format", 3), "says its format is .*3.*, expected 'odaf-dataset'"),
-    "newer": (set_attribute("version", 3), "written in version 3 of the format, this odaf reads up to 2; upgrade odaf"),
+    "newer": (set_attribute("version", 4), "written in version 4 of the format, this odaf reads up to 3; upgrade odaf"),
     "version text": (set_attribute("version", "one"), "attribute 'version' is 'one', expected a whole number"),
     "no checksum": (lambda file: file.attrs.__delitem__("sha256"), "attribute 'sha256' is missing"),
     "missing": (lambda file: file.__delitem__("rewards"), r"field 'rewards' is missing; the file has \['action_high'"),

@@ -540,3 +540,20 @@ def test_a_machine_that_cannot_give_the_same_bits_is_told_beforehand(tiny, tmp_p
     heard.clear()
     training.resume(run.path, 8, dataset=tiny.tiny_dataset(), progress=Report())
     assert heard[0] == "start"
+
+
+def test_checkpoints_that_are_gone_are_missed(tiny, tmp_path, capsys):
+    settings = {"steps": 4, "stretch": 2, "checkpoint_every": 2}
+    run = training.fit(tiny.TinyLearner(), tiny.tiny_dataset(), directory=tmp_path / "run", progress=False, **settings)
+    shutil.rmtree(run.path / "seed-0" / "checkpoints")
+    capsys.readouterr()
+    training.resume(run.path, dataset=tiny.tiny_dataset())
+    assert "had made 4 updates, and its checkpoints are gone" in capsys.readouterr().err
+    assert run.checkpoint(0).step == 4
+
+
+def test_a_folder_of_runs_says_that_it_is_none(tiny, tmp_path):
+    for name in ("one", "other"):
+        training.fit(tiny.TinyLearner(), tiny.tiny_dataset(), directory=tmp_path / name, steps=2, progress=False)
+    with pytest.raises(CheckpointError, match="holds 2 runs, such as one, and is none itself; the"):
+        training.resume(tmp_path, dataset=tiny.tiny_dataset(), progress=False)

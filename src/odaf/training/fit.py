@@ -267,6 +267,11 @@ def _unfinished(
     for seed in seeds:
         if seed.is_finished():
             seed.tidy_up()
+        elif seed.checkpoint is None and (reached := run.summary(seed.seed)["step"]):
+            report.message(
+                f"{seed.directory}: had made {reached:,} updates, and its checkpoints are gone; it is trained from the "
+                "beginning"
+            )
     unfinished = [seed for seed in seeds if not seed.is_finished()]
     if unfinished and resuming is not None:
         _note_process(run, resuming, report)

@@ -56,6 +56,12 @@ class RunDirectory:
             CheckpointError: there is no run here, or the file is damaged.
         """
         path = self.path / "config.json"
+        several = sorted(each.parent.name for each in self.path.glob("*/config.json")) if not path.exists() else []
+        if several:
+            raise CheckpointError(
+                f"{self.path}: holds {len(several)} runs, such as {several[0]}, and is none itself; the `odaf train` "
+                "command that began them goes on with all, `odaf resume` with one: give its directory"
+            )
         config = read_json(path, _NO_RUN)
         if config.get("format") != FORMAT:
             raise CheckpointError(
