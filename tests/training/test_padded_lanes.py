@@ -43,6 +43,7 @@ def _narrow(log: Dataset) -> Dataset:
 LOGS = (learners.log(), _narrow(learners.log(seed=1)))
 LEARNERS: dict[str, Any] = {
     "behaviour-cloning": learners.of_kind("behaviour-cloning"),
+    "behaviour-cloning, gaussian": dataclasses.replace(learners.of_kind("behaviour-cloning"), actor_kind="gaussian"),
     "td3-bc": learners.of_kind("td3-bc"),
     "rebrac": learners.of_kind("rebrac"),
     "iql": dataclasses.replace(learners.of_kind("iql"), actor_kind="gaussian"),
