@@ -543,8 +543,9 @@ def test_a_machine_that_cannot_give_the_same_bits_is_told_beforehand(tiny, tmp_p
 
 
 def test_checkpoints_that_are_gone_are_missed(tiny, tmp_path, capsys):
-    settings = {"steps": 4, "stretch": 2, "checkpoint_every": 2}
-    run = training.fit(tiny.TinyLearner(), tiny.tiny_dataset(), directory=tmp_path / "run", progress=False, **settings)
+    run = training.fit(
+        tiny.TinyLearner(), tiny.tiny_dataset(), directory=tmp_path / "run", progress=False, steps=4, stretch=2
+    )
     shutil.rmtree(run.path / "seed-0" / "checkpoints")
     capsys.readouterr()
     training.resume(run.path, dataset=tiny.tiny_dataset())
