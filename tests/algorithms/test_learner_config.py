@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import math
 from typing import Any
 
 import pytest
@@ -234,3 +235,25 @@ def test_the_word_none_stands_for_no_value_where_there_may_be_none():
     learner = config.replace(EnsembleSAC(terms=(OutcomePenalty(num_states=8),)), changes)
     assert isinstance(learner, EnsembleSAC) and learner.critic_norm == "none"
     assert getattr(learner.terms[0], "num_states", 0) is None
+
+
+@pytest.mark.parametrize(
+    ("setting", "value", "message"),
+    [
+        ("learning_rate", -1e-3, "learning_rate=-0.001 of behaviour-cloning must not be negative"),
+        ("learning_rate", math.nan, "learning_rate=nan of behaviour-cloning must be a finite number"),
+        ("normaliser_epsilon", math.inf, "normaliser_epsilon=inf of behaviour-cloning must be a finite number"),
+        ("hidden_sizes", (8, 0), r"hidden_sizes=\(8, 0\) of behaviour-cloning must hold widths of at least 1"),
+        ("batch_size", 0, "batch_size=0 must be at least 1"),
+        ("actor_kind", "squashed", "actor_kind='squashed' is not of the expected kind: 'deterministic' | 'gaussian'"),
+    ],
+)
+def test_settings_that_no_learner_can_have_are_refused_where_a_learner_is_made_of_them(setting, value, message):
+    with pytest.raises(ConfigError, match=message):
+        config.replace(BehaviourCloning(), {setting: value})
+
+
+def test_rates_of_terms_and_models_are_looked_at_too():
+    learner = EnsembleSAC(terms=(OutcomePenalty(dynamics=DynamicsConfig(learning_rate=-1.0)),))
+    with pytest.raises(ConfigError, match="learning_rate=-1.0 of outcome.dynamics must not be negative"):
+        config.checked(learner)

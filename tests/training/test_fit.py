@@ -231,6 +231,12 @@ def test_settings_out_of_range_are_named(tiny, tmp_path, changes, named):
     assert not (tmp_path / "run").exists()
 
 
+def test_a_setting_that_no_learner_can_have_is_refused_before_anything_is_written(tiny, tmp_path):
+    with pytest.raises(ConfigError, match=r"learning_rate=-0\.1 of tiny must not be negative"):
+        _fit(tiny, tmp_path / "run", algorithm=tiny.TinyLearner(learning_rate=-0.1))
+    assert not (tmp_path / "run").exists()
+
+
 def test_resume_refuses_what_would_not_be_the_same_run(tiny, tmp_path):
     run = _fit(tiny, tmp_path / "run")
     with pytest.raises(ConfigError, match="came from memory"):

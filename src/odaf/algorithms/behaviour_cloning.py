@@ -61,6 +61,8 @@ class BehaviourCloning(Algorithm[CloningState]):
     units of no account."""
 
     def __post_init__(self) -> None:
+        if self.batch_size < 1:
+            raise ConfigError(f"batch_size={self.batch_size} must be at least 1")
         if self.normaliser_epsilon < 0.0:
             raise ConfigError(f"normaliser_epsilon={self.normaliser_epsilon} must not be negative")
 

@@ -1,6 +1,7 @@
 """Learners to and from plain dictionaries: what config.json and preset files hold."""
 
 import dataclasses
+import math
 import types
 from collections.abc import Mapping
 from typing import Any, Literal, NoReturn, Union, get_args, get_origin, get_type_hints
@@ -45,6 +46,15 @@ def from_dict(fields: Mapping[str, Any], source: str = "configuration") -> Algor
             raise ConfigError(f"{source}: terms={fields['terms']!r} must be a list of tables with a name each")
         fields["terms"] = tuple(_term(term, source) for term in fields["terms"])
     return _build(ALGORITHMS[kind], fields, source, kind)
+
+
+def checked(algorithm: Algorithm) -> Algorithm:
+    """The learner as its record restores it, every setting in its field's type: lists become tuples.
+
+    Raises:
+        ConfigError: a value of the wrong type, or a number that no learner can have there.
+    """
+    return from_dict(to_dict(algorithm), "settings")
 
 
 def replace(algorithm: Algorithm, changes: Mapping[str, Any], source: str = "override") -> Algorithm:
@@ -113,7 +123,18 @@ def _build(cls: Any, fields: Mapping[str, Any], source: str, where: str) -> Any:
         if dataclasses.is_dataclass(hint) and isinstance(value, Mapping):
             value = _build(hint, value, source, f"{where}.{name}")
         values[name] = value if name == "terms" else _checked(value, hint, source, f"{where}.{name}")
+        _possible(name, values[name], where)
     return cls(**values)
+
+
+def _possible(name: str, value: Any, where: str) -> None:
+    """Refuses what no learner can do: what holds for every setting of a kind, and so stands in none of them."""
+    if isinstance(value, float) and not math.isfinite(value):
+        raise ConfigError(f"{name}={value!r} of {where} must be a finite number; where no limit is meant, a large one")
+    if name.endswith("learning_rate") and value < 0.0:
+        raise ConfigError(f"{name}={value!r} of {where} must not be negative: losses would be climbed, not descended")
+    if name.endswith("hidden_sizes") and any(width < 1 for width in value):
+        raise ConfigError(f"{name}={value!r} of {where} must hold widths of at least 1")
 
 
 def _checked(value: Any, hint: Any, source: str, where: str) -> Any:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Literal, Unpack
 
 from odaf.algorithms.base import Algorithm
+from odaf.algorithms.config import checked
 from odaf.algorithms.registry import register_parts
 from odaf.components.critics import usable_cores
 from odaf.data.dataset import Dataset
@@ -114,6 +115,7 @@ def open_run(
         apart: whether seeds are trained in other processes.
     """
     register_parts(algorithm)
+    algorithm = checked(algorithm)
     path, evaluate = Path(directory), _evaluator(settings)
     normaliser = Normaliser.fit(dataset.observations, algorithm.view().normaliser_epsilon)
     data = run_writing.data_record(dataset, normaliser, data_path, path) | drawn_rows(algorithm, dataset)
