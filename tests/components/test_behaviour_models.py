@@ -16,8 +16,9 @@ from odaf.components.behaviour_models import (
     fit_clone,
     init_behaviour_cvae,
 )
+from odaf.data.dataset import Dataset
 from odaf.data.normalisation import Normaliser
-from odaf.errors import ConfigError
+from odaf.errors import ConfigError, DatasetError
 
 LATENTS = 2 * tiny.ACT_DIM
 
@@ -81,6 +82,24 @@ def test_a_model_of_actions_that_follow_nothing_is_warned_of():
     config = BehaviourConfig(hidden_sizes=(24,), steps=500, batch_size=64, learning_rate=5e-3)
     _, report = fit_clone(config, dataset, Normaliser.fit(dataset.observations), jr.key(0), lambda *_: None)
     assert "mean action" in report["warnings"][0]
+
+
+def test_actions_that_ended_episodes_are_learned_from_even_without_a_state_after_them():
+    states = np.linspace(-1.0, 1.0, 12)[:, None]
+    actions = np.where(states > 0.0, 0.8, -0.8)  # every row is an episode and repeats its own state as a placeholder
+    log = Dataset.from_arrays(
+        states, actions, states[:, 0], next_observations=states, terminated=[True] * 12, action_bounds=(-1, 1)
+    )
+    config = BehaviourConfig(hidden_sizes=(8,), steps=1, batch_size=4, holdout=0.25)
+    _, report = fit_clone(config, log, Normaliser.fit(log.observations), jr.key(0), lambda *_: None)
+    assert report["holdout_rows"] == 3
+
+
+def test_a_log_of_one_row_is_refused():
+    row = np.zeros((1, 1))
+    log = Dataset.from_arrays(row, row, [0.0], next_observations=row, terminated=[True], action_bounds=(-1, 1))
+    with pytest.raises(DatasetError, match="the log has 1 row; at least 2 are needed, or take"):
+        fit_clone(BehaviourConfig(), log, Normaliser.fit(log.observations), jr.key(0), lambda *_: None)
 
 
 @pytest.mark.parametrize(("field", "value"), [("steps", 0), ("batch_size", 0), ("holdout", 0.0), ("hidden_sizes", ())])

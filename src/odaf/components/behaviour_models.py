@@ -151,7 +151,7 @@ def fit_clone(
 
     Args:
         config: sizes and training of the model.
-        dataset: the log; whole episodes go to one side, rows without a recorded successor to none.
+        dataset: the log; whole episodes go to one side.
         normaliser: observation scaling of the learner that will use the model.
         key: random key for the split, the initial networks and the batches.
         progress: called with (steps done, steps in all) after every stretch.
@@ -162,7 +162,7 @@ def fit_clone(
 
     Raises:
         DivergenceError: the training loss stopped being finite.
-        DatasetError: the log has fewer than two rows whose successor is known.
+        DatasetError: the log has fewer than two rows.
     """
     key_init, key_fit = jr.split(key)
     model = init_deterministic_actor(key_init, dataset.obs_dim, dataset.act_dim, config.hidden_sizes)
@@ -253,7 +253,7 @@ def _fitted(
     key_split, key_train = jr.split(key)
     what = "behaviour model"
     remedy = "take a learner that needs no model of the log, such as td3-bc"
-    rows = split_columns(dataset, normaliser, config.holdout, key_split, what, remedy)
+    rows = split_columns(dataset, normaliser, config.holdout, key_split, what, remedy, needs_successors=False)
     fitted = fit(
         model,
         loss,

@@ -57,36 +57,47 @@ class SplitRows:
 
 
 def split_columns(
-    dataset: Dataset, normaliser: Normaliser, share: float, key: PRNGKeyArray, model: str, remedy: str
+    dataset: Dataset,
+    normaliser: Normaliser,
+    share: float,
+    key: PRNGKeyArray,
+    model: str,
+    remedy: str,
+    *,
+    needs_successors: bool = True,
 ) -> SplitRows:
     """The rows of `split_rows` as a learner sees them.
 
     Raises:
         DatasetError: as `split_rows`.
     """
-    train, holdout = split_rows(dataset, share, key, model, remedy)
+    train, holdout = split_rows(dataset, share, key, model, remedy, needs_successors=needs_successors)
     return SplitRows(normalised_rows(dataset, normaliser, np.concatenate([train, holdout])), len(train))
 
 
 def split_rows(
-    dataset: Dataset, share: float, key: PRNGKeyArray, model: str, remedy: str
+    dataset: Dataset, share: float, key: PRNGKeyArray, model: str, remedy: str, *, needs_successors: bool = True
 ) -> tuple[np.ndarray, np.ndarray]:
     """Row indices of the training and hold-out episodes, at least one on each side; a single episode is cut in time.
 
     Args:
-        dataset: the log. Rows whose successor was not recorded are left out.
+        dataset: the log.
         share: of the episodes, held out.
         key: random key that chooses them.
         model: what is trained, named in error messages.
         remedy: how to do without it, for the same messages.
+        needs_successors: whether rows whose successor was not recorded are left out.
 
     Raises:
-        DatasetError: the log has fewer than two rows whose successor is known.
+        DatasetError: fewer than two rows are left.
     """
     # a terminated row without a recorded successor repeats its own state; it would teach "no change"
-    known = ~(dataset.terminated & np.all(dataset.observations == dataset.next_observations, axis=1))
+    lacking = dataset.terminated & np.all(dataset.observations == dataset.next_observations, axis=1)
+    known = ~lacking if needs_successors else np.ones(len(dataset), bool)
     rows_by_episode = np.split(np.arange(len(dataset)), dataset.episode_starts[1:])
     usable = [rows[known[rows]] for rows in rows_by_episode if np.any(known[rows])]
+    if sum(len(rows) for rows in usable) < 2 and not needs_successors:
+        raise DatasetError(f"{model}: the log has {len(dataset)} row; at least 2 are needed, or {remedy}")
     if sum(len(rows) for rows in usable) < 2:
         raise DatasetError(
             f"{model}: of {len(dataset):,} rows {int(known.sum())} have a logged successor; at least 2 must; "
