@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from odaf.algorithms import config
 from odaf.algorithms.behaviour_cloning import BehaviourCloning
 from odaf.algorithms.ensemble_sac import EnsembleSAC
+from odaf.algorithms.registry import ALGORITHMS
 from odaf.algorithms.terms import (
     Conservative,
     GradientDiversity,
@@ -257,3 +258,9 @@ def test_rates_of_terms_and_models_are_looked_at_too():
     learner = EnsembleSAC(terms=(OutcomePenalty(dynamics=DynamicsConfig(learning_rate=-1.0)),))
     with pytest.raises(ConfigError, match="learning_rate=-1.0 of outcome.dynamics must not be negative"):
         config.checked(learner)
+
+
+def test_what_a_learner_calls_its_warm_up_is_a_setting_that_counts_updates():
+    named = {kind: cls.warm_up for kind, cls in ALGORITHMS.items() if cls.warm_up is not None}
+    assert named.keys() >= {"atac", "bear", "brac", "cql"}
+    assert all(isinstance(getattr(ALGORITHMS[kind](), field), int) for kind, field in named.items())

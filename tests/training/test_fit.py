@@ -14,6 +14,7 @@ from odaf.data.normalisation import Normaliser
 from odaf.data.sampling import device_columns, sample
 from odaf.errors import CheckpointError, ConfigError, DatasetError, DivergenceError
 from odaf.training import loop, run_writing
+from odaf.training.progress import Silent
 
 
 def _fit(tiny, directory, **changes):
@@ -235,6 +236,21 @@ def test_a_setting_that_no_learner_can_have_is_refused_before_anything_is_writte
     with pytest.raises(ConfigError, match=r"learning_rate=-0\.1 of tiny must not be negative"):
         _fit(tiny, tmp_path / "run", algorithm=tiny.TinyLearner(learning_rate=-0.1))
     assert not (tmp_path / "run").exists()
+
+
+def test_a_run_that_ends_in_its_warm_up_is_told_of(tiny, tmp_path, monkeypatch):
+    monkeypatch.setattr(tiny.TinyLearner, "warm_up", "batch_size")  # 8
+    heard = []
+
+    class Report(Silent):
+        def message(self, text):
+            heard.append(text)
+
+    _fit(tiny, tmp_path / "long", steps=9, progress=Report())
+    assert not any("only fits the log" in text for text in heard)
+    run = _fit(tiny, tmp_path / "short", steps=8, progress=Report())
+    words = f"{run.path}: in all 8 updates the actor only fits the log, because batch_size=8; take more steps"
+    assert any(text.startswith(words) for text in heard)
 
 
 def test_resume_refuses_what_would_not_be_the_same_run(tiny, tmp_path):

@@ -76,6 +76,7 @@ class ATAC(Algorithm[ATACState]):
     """Adversarially trained actor-critic: critics as pessimistic about the actor as Bellman's equation allows."""
 
     kind: ClassVar[str] = "atac"
+    warm_up: ClassVar[str | None] = "warm_start_updates"
     structural: ClassVar[frozenset[str]] = frozenset({"normaliser_epsilon"})
 
     bellman_weight: float = 16.0

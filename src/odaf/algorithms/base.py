@@ -50,6 +50,8 @@ class Algorithm(RowChoice, abc.ABC, Generic[State]):
     structural: ClassVar[frozenset[str]] = frozenset()
     draws_apart: ClassVar[bool] = False
     """Whether `update` trains the actor on `batch.for_actor` and all else on `batch`, which critic_sampling needs."""
+    warm_up: ClassVar[str | None] = None
+    """The setting that holds how many updates at the start let the actor only fit the log; None where none do."""
     refresh_every: int = 0
     """Updates between two calls of `refresh`, the first one before the first update; 0 never calls it."""
     batch_size: int

@@ -72,6 +72,7 @@ class BEAR(Algorithm[BEARState]):
     """Actor-critic held to the support of the logged actions by a maximum mean discrepancy."""
 
     kind: ClassVar[str] = "bear"
+    warm_up: ClassVar[str | None] = "warm_up_steps"
     structural: ClassVar[frozenset[str]] = frozenset({"normaliser_epsilon"})
 
     kernel: Kernel = "gaussian"

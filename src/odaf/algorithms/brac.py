@@ -76,6 +76,7 @@ class BRAC(Algorithm[BRACState]):
     """Actor-critic regularised by the divergence from a density of the logged actions."""
 
     kind: ClassVar[str] = "brac"
+    warm_up: ClassVar[str | None] = "warm_up_steps"
     structural: ClassVar[frozenset[str]] = frozenset({"normaliser_epsilon"})
 
     value_penalty: bool = True

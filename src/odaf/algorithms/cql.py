@@ -72,6 +72,7 @@ class CQL(Algorithm[CQLState]):
 
     kind: ClassVar[str] = "cql"
     draws_apart: ClassVar[bool] = True
+    warm_up: ClassVar[str | None] = "cloning_updates"
     structural: ClassVar[frozenset[str]] = frozenset({"normaliser_epsilon"})
 
     conservative_weight: float = 10.0

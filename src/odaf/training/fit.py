@@ -128,9 +128,22 @@ def open_run(
             report.message(f"{path}: {in_words(data[DRAWN])}")
         process = process_record(_cores(settings, apart), precision_here(settings.precision))
         run = run_writing.begin(path, config, plain(data), process, dataset)
+        if words := _only_fits_the_log(algorithm, settings.steps):
+            report.message(f"{path}: {words}")
         if new and (reason := why_bits_do_not_repeat(process)):
             report.message(f"{path}: {reason}, set before Python starts; the bits of this run will not repeat")
         yield run, _unfinished(run, settings, evaluate, report, None if new else process)
+
+
+def _only_fits_the_log(algorithm: Algorithm, steps: int) -> str:
+    """A sentence for a run that ends before its actor learns from values; else nothing."""
+    warm_up = 0 if algorithm.warm_up is None else int(getattr(algorithm, algorithm.warm_up))
+    if steps > warm_up:
+        return ""
+    return (
+        f"in all {steps:,} updates the actor only fits the log, because {algorithm.warm_up}={warm_up}; take more steps "
+        "than that, or a shorter warm-up"
+    )
 
 
 def resume(
