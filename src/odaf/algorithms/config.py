@@ -133,7 +133,7 @@ def _possible(name: str, value: Any, where: str) -> None:
         raise ConfigError(f"{name}={value!r} of {where} must be a finite number; where no limit is meant, a large one")
     if name.endswith("learning_rate") and value < 0.0:
         raise ConfigError(f"{name}={value!r} of {where} must not be negative: losses would be climbed, not descended")
-    if name.endswith("hidden_sizes") and any(width < 1 for width in value):
+    if isinstance(value, tuple) and name.endswith("hidden_sizes") and any(width < 1 for width in value):
         raise ConfigError(f"{name}={value!r} of {where} must hold widths of at least 1")
 
 
