@@ -131,7 +131,7 @@ def _possible(name: str, value: Any, where: str) -> None:
     """Refuses what no learner can do: what holds for every setting of a kind, and so stands in none of them."""
     if isinstance(value, float) and not math.isfinite(value):
         raise ConfigError(f"{name}={value!r} of {where} must be a finite number; where no limit is meant, a large one")
-    if name.endswith("learning_rate") and value < 0.0:
+    if isinstance(value, float) and name.endswith("learning_rate") and value < 0.0:
         raise ConfigError(f"{name}={value!r} of {where} must not be negative: losses would be climbed, not descended")
     if isinstance(value, tuple) and name.endswith("hidden_sizes") and any(width < 1 for width in value):
         raise ConfigError(f"{name}={value!r} of {where} must hold widths of at least 1")
