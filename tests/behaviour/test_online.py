@@ -251,19 +251,33 @@ def _policies_in(folder):
         return unpack_policies(dict(arrays), json.loads((folder / "hopper.json").read_text()))
 
 
-@pytest.mark.parametrize(("falls", "step"), [((0.0, 0.1), 80), ((0.01, 0.1), 100), ((0.2, 0.3), 80)])
-def test_of_two_near_snapshots_the_one_that_falls_as_often_is_taken(finished, monkeypatch, falls, step):
-    """Snapshot 80 scores 44.3 and never falls, snapshot 100 scores 45.8 and falls in one row of fifty."""
-    made_up = {80: (44.3, 0.0), 100: (45.8, 0.02)}
+@pytest.mark.parametrize(
+    ("falls", "spreads", "step"),
+    [
+        ((0.0, 0.1), (0.0, 1e9), 80),
+        ((0.01, 0.1), (0.0, 1e9), 100),
+        ((0.2, 0.3), (0.0, 1e9), 80),
+        ((0.0, 0.1), (100.0, 400.0), 100),
+        ((0.0, 0.1), (0.0, 100.0), 80),
+        ((0.0, 0.1), (400.0, 900.0), 80),
+    ],
+)
+def test_of_two_near_snapshots_the_one_that_falls_and_varies_as_much_is_taken(
+    finished, monkeypatch, falls, spreads, step
+):
+    """Snapshot 80 scores 44.3 every time and never falls, snapshot 100 scores 45.8 on average, with returns that have a
+    standard deviation of 200, and falls in one row of fifty."""
+    made_up = {80: (44.3, 0.0, 0.0), 100: (45.8, 200.0, 0.02)}
     policies = {step: load_policy(finished / "snapshots" / f"{step:08d}.npz") for step in made_up}
     marks = {float(policy.weights[0][0, 0]): step for step, policy in policies.items()}
 
     def played(policy, simulators, seed, stochastic):
-        score, share = made_up[marks[float(policy.weights[0][0, 0])]]
-        return Played(np.full(2, -20.272305 + score / 100 * 3254.572305), np.full(2, 500), share)
+        score, std, share = made_up[marks[float(policy.weights[0][0, 0])]]
+        mean = -20.272305 + score / 100 * 3254.572305
+        return Played(mean + std * np.array([-1.0, 1.0]), np.full(2, 500), share)
 
     monkeypatch.setattr("odaf.behaviour.export.play", played)
-    level = _nearest(policies, [], REFERENCES[TASKS["hopper"].family], 44.32, falls)
+    level = _nearest(policies, [], REFERENCES[TASKS["hopper"].family], 44.32, falls, spreads)
     assert level.step == step
 
 

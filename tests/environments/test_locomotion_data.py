@@ -9,10 +9,24 @@ from odaf.data import Dataset
 from odaf.environments import recorder
 from odaf.environments.gaussian_policy import GaussianPolicy
 from odaf.environments.locomotion import TASKS, Simulator
-from odaf.environments.locomotion_acceptance import PUBLISHED, acceptance_of, findings_of, statistics_of
+from odaf.environments.locomotion_acceptance import (
+    PUBLISHED,
+    acceptance_of,
+    findings_of,
+    statistics_of,
+    widest_spread,
+)
 from odaf.environments.locomotion_data import NAMES, generate, shares
-from odaf.environments.shipped_policies import Phase, ShippedPolicies, pack_policies, shipped, unpack_policies
+from odaf.environments.shipped_policies import (
+    Phase,
+    ShippedPolicies,
+    facts_of_edition,
+    pack_policies,
+    shipped,
+    unpack_policies,
+)
 from odaf.errors import ConfigError
+from odaf.studies.logs import policies_print
 from odaf.training.files import write_arrays
 
 
@@ -161,7 +175,8 @@ def test_acceptance_notices_a_policy_of_another_level():
 def test_each_half_of_medium_expert_is_judged_on_its_own():
     """Halves whose mean is right together but wrong one by one are not accepted."""
     low, high = (
-        {"normalised_mean": score, "terminal_row_share": 0.0, "largest_action": 1.0} for score in (20.0, 109.0)
+        {"normalised_mean": score, "std": 300.0, "terminal_row_share": 0.0, "largest_action": 1.0}
+        for score in (20.0, 109.0)
     )
     judged = acceptance_of(TASKS["halfcheetah"], "medium-expert", {"medium": low, "expert": high})
     assert [check["figure"] for check in judged["checks"] if not check["passed"]] == [
@@ -172,6 +187,44 @@ def test_each_half_of_medium_expert_is_judged_on_its_own():
     assert acceptance_of(TASKS["halfcheetah"], "medium-expert", dict(zip(("medium", "expert"), good, strict=True)))[
         "passed"
     ]
+
+
+@pytest.mark.parametrize(("std", "passed"), [(0.0, True), (533.0, True), (534.0, False)])
+def test_returns_may_spread_up_to_one_and_a_half_times_as_widely_as_published(std, passed):
+    """The published set of halfcheetah-medium has 355.75; one and a half times that is 533.6."""
+    figures = {"normalised_mean": 40.68, "std": std, "terminal_row_share": 0.0, "largest_action": 1.0}
+    judged = acceptance_of(TASKS["halfcheetah"], "medium", {"medium": figures})
+    assert judged["passed"] is passed
+    assert [check["figure"] for check in judged["checks"] if not check["passed"]] == ([] if passed else ["std"])
+
+
+def test_an_earlier_edition_has_the_levels_that_were_others_then():
+    facts = {
+        "task": "hopper",
+        "medium": "c",
+        "expert": "z",
+        "earlier": [{"medium": "a", "expert": "y"}, {"medium": "b"}],
+    }
+    levels = {edition: facts_of_edition(facts, edition) for edition in (None, 1, 2, 3)}
+    assert levels[None] == levels[3] == {"task": "hopper", "medium": "c", "expert": "z"}
+    assert levels[2] == {"task": "hopper", "medium": "b", "expert": "z"}
+    assert levels[1] == {"task": "hopper", "medium": "a", "expert": "y"}
+    with pytest.raises(ConfigError, match="edition 4: hopper has editions 1 to 3"):
+        facts_of_edition(facts, 4)
+
+
+def test_the_first_edition_of_halfcheetah_plays_as_it_did():
+    first, newest = shipped(TASKS["halfcheetah"], edition=1), shipped(TASKS["halfcheetah"])
+    assert (first.facts["medium"]["step"], first.facts["medium"]["spread"]) == (140_000, 1.0)
+    assert newest.facts["medium"]["step"] != 140_000
+    assert (
+        newest.facts["medium"]["std_return"] < widest_spread("halfcheetah-medium") < first.facts["medium"]["std_return"]
+    )
+    assert policies_print("halfcheetah-medium", 1).startswith(
+        "1201d4e4"
+    )  # of the records made before there was another
+    assert policies_print("halfcheetah-medium") != policies_print("halfcheetah-medium", 1)
+    assert policies_print("hopper-medium", 1) == policies_print("hopper-medium")
 
 
 def test_without_a_whole_episode_nothing_is_claimed():

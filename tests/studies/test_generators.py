@@ -59,7 +59,7 @@ def test_the_print_of_policies_covers_what_they_do_and_not_their_notes(monkeypat
     def print_with(change) -> str | None:
         logs.policies_print.cache_clear()
         with monkeypatch.context() as patch:
-            patch.setattr(shipped_policies, "shipped", lambda task: change(whole(task)))
+            patch.setattr(shipped_policies, "shipped", lambda task, edition: change(whole(task, edition)))
             return logs.policies_print("hopper-medium")
 
     whole = shipped_policies.shipped
@@ -78,8 +78,9 @@ def test_the_print_of_policies_covers_what_they_do_and_not_their_notes(monkeypat
 
 def test_records_of_other_policies_are_stale(tmp_path: Path) -> None:
     recording = Recording("hopper-medium")
-    first = "f01e77b6404d4c0354fd48fa4b712642ea66575fd9c1fa2e13cb85b357c718be"  # as the first records name them
-    for mark, same in ((first, True), ("0" * 64, False), (logs.policies_print("hopper-medium"), True)):
+    today = logs.policies_print("hopper-medium")
+    for mark, version, same in ((today, 2, True), ("0" * 64, 2, False), (today, None, False)):
         record = {"policies_sha256": mark, "statistics": {"transitions": 100_000}, "seed": 0}
-        recorded = recording.recorded(record, {}) | recording.unrecorded()
+        record |= {} if version is None else {"identity": {"version": version}}
+        recorded = recording.unrecorded() | recording.recorded(record, {})
         assert (recorded == recording.identity()) == same

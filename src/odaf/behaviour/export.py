@@ -19,7 +19,7 @@ import numpy as np
 from odaf.behaviour.online import OnlineRun, curve_in, load_policy, play, run_in
 from odaf.environments.gaussian_policy import GaussianPolicy
 from odaf.environments.locomotion import Simulator, Task, task_of
-from odaf.environments.locomotion_acceptance import PUBLISHED, terminal_limits
+from odaf.environments.locomotion_acceptance import PUBLISHED, PUBLISHED_SPREAD, SPREAD_FACTOR, terminal_limits
 from odaf.environments.reference_returns import REFERENCES, Reference
 from odaf.environments.shipped_policies import pack_policies, stacked_policies
 from odaf.errors import ConfigError
@@ -30,7 +30,7 @@ FIRST_LOOK, CLOSE_LOOK = 5, 40  # episodes
 CANDIDATES = 8  # snapshots of a level that get a close look
 SPREADS = (1.0, 0.85, 0.7, 0.5, 1.15, 1.3, 1.5)
 NEAR = 1.0  # points from the target at which noise stays as trained
-ALIKE_WITHIN = 2.0  # points from the target up to which a right share of falls counts more than a nearer score
+ALIKE_WITHIN = 2.0  # points from the target up to which right falls and a right spread count more than a nearer score
 EXPERT_MARGIN = 1.0  # points above the published set's mean that an expert is looked for at: rather better than worse
 MEDIUM_WITHIN, EXPERT_WITHIN = 5.0, 3.0  # points from the target at which a level counts as reached
 PHASES = 20  # snapshots that stand for the run up to the medium policy
@@ -92,10 +92,12 @@ def export(
     progress.close()
 
     def search(level: str) -> Level:
-        target, falls = PUBLISHED[f"{task.name}-{level}"]
+        name = f"{task.name}-{level}"
+        target, falls = PUBLISHED[name]
         target += EXPERT_MARGIN if level == "expert" else 0.0
         near = sorted(looks, key=lambda step: (abs(looks[step] - target), step))[:CANDIDATES]
-        return _nearest({step: loaded[step] for step in near}, simulators, reference, target, terminal_limits(falls))
+        candidates = {step: loaded[step] for step in near}
+        return _nearest(candidates, simulators, reference, target, terminal_limits(falls), _spreads(name))
 
     settings = f"--seed {run.seed} --steps {run.steps} --batch-size {run.batch_size}"
     settings += "" if run.contact_margins is None else f" --contact-margins {run.contact_margins}"
@@ -140,11 +142,16 @@ def _nearest(
     reference: Reference,
     target: float,
     falls: tuple[float, float],
+    spreads: tuple[float, float],
 ) -> Level:
-    """The candidate and spread whose mean score is nearest to the target, among those with a right share of falls."""
+    """The candidate and spread whose mean score is nearest to the target, among those with a right share of falls and a
+    right standard deviation of returns."""
 
     def distance(level: Level) -> float:
         return abs(level.normalised_score - target)
+
+    def is_alike(level: Level) -> bool:
+        return falls[0] <= level.fall_share <= falls[1] and spreads[0] <= level.std_return <= spreads[1]
 
     found: list[Level] = []
     for spread in SPREADS:
@@ -153,11 +160,18 @@ def _nearest(
             mean, std = float(played.returns.mean()), float(played.returns.std())
             score = reference.normalise(mean)
             found.append(Level(step, spread, len(played.returns), mean, std, score, played.fall_share))
-        alike = [level for level in found if falls[0] <= level.fall_share <= falls[1]]
+        alike = [level for level in found if is_alike(level)]
         if alike and distance(best := min(alike, key=distance)) <= NEAR:
             return best
-    alike = [level for level in found if falls[0] <= level.fall_share <= falls[1] and distance(level) <= ALIKE_WITHIN]
+    alike = [level for level in found if is_alike(level) and distance(level) <= ALIKE_WITHIN]
     return min(alike or found, key=distance)
+
+
+def _spreads(name: str) -> tuple[float, float]:
+    """Standard deviations of returns to look for. An expert may be steadier than the published one, not a medium
+    policy: what it does not try cannot be learnt from it."""
+    published = PUBLISHED_SPREAD[name]
+    return published / SPREAD_FACTOR if name.endswith("-medium") else 0.0, SPREAD_FACTOR * published
 
 
 def _phases(run: OnlineRun, snapshots: Sequence[int], end: int) -> list[tuple[int, int | None]]:

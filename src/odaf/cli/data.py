@@ -63,6 +63,9 @@ class GenerateOptions:
     """Locomotion only: rows to record; without it, 100,000."""
     version: Annotated[Literal["v4", "v5"] | None, tyro.conf.arg(metavar="v4|v5")] = None
     """Locomotion only: environment version; without it, v4, near which scores were published."""
+    edition: Annotated[int | None, tyro.conf.arg(metavar="INT")] = None
+    """Locomotion only: edition of the set, where a better policy was found for its level since; without it, the
+    newest."""
     contact_margins: Annotated[Literal["added", "larger"] | None, tyro.conf.arg(metavar="RULE")] = None
     """How MuJoCo counts the contact margins of two parts that touch: `added`, as it does from 3.5.0 on, or `larger`, as
     before, which makes Hopper and the point mazes the older bodies; without it, as the
@@ -188,7 +191,7 @@ def _mixture(content: Mapping[str, Any], drawn: Mapping[str, Any] | None) -> str
 
 
 def _maze_data(options: GenerateOptions) -> "Dataset":
-    for field in ("transitions", "version", "exact"):
+    for field in ("transitions", "version", "edition", "exact"):
         if getattr(options, field) is not None:
             raise ConfigError(f"--{field} is for locomotion; a maze takes --maze and --repeats")
 
@@ -211,6 +214,8 @@ def _locomotion_data(options: GenerateOptions) -> "Dataset":
     if options.exact is not None:
         if options.transitions is not None:
             raise ConfigError("--transitions: the buffer of a training run is as long as its training; leave it out")
+        if options.edition is not None:
+            raise ConfigError("--edition: the buffer of a training run holds its own policies; leave it out")
 
         from odaf.behaviour.exact_replay import exact_replay
 
@@ -220,7 +225,15 @@ def _locomotion_data(options: GenerateOptions) -> "Dataset":
     from odaf.environments.locomotion_data import generate
 
     transitions = 100_000 if options.transitions is None else options.transitions
-    return generate(options.name, transitions, options.seed, version, progress, contact_margins=options.contact_margins)
+    return generate(
+        options.name,
+        transitions,
+        options.seed,
+        version,
+        progress,
+        contact_margins=options.contact_margins,
+        edition=options.edition,
+    )
 
 
 def _map_file(options: GenerateOptions) -> Path | None:

@@ -27,6 +27,16 @@ PUBLISHED: dict[str, tuple[float, float]] = {
     "walker2d-medium-expert": (82.67, 0.0011),
     "walker2d-expert": (107.15, 0.0010),
 }
+# Standard deviation of the returns of the published sets' whole episodes.
+PUBLISHED_SPREAD: dict[str, float] = {
+    "halfcheetah-medium": 355.75,
+    "halfcheetah-expert": 441.68,
+    "hopper-medium": 378.95,
+    "hopper-expert": 328.59,
+    "walker2d-medium": 1095.44,
+    "walker2d-expert": 136.39,
+}
+SPREAD_FACTOR = 1.5  # returns of a set may spread up to so many times as widely as the published one's
 TOLERANCE = {"random": 3.0, "medium": 3.0, "expert": 3.0, "medium-replay": 8.0}
 TERMINAL_FACTOR = 3.0  # a set may end episodes by a fall up to so many times as often as the published one
 FEW_TERMINALS = 0.001  # below one fall in a thousand rows, fewer are as good
@@ -80,6 +90,8 @@ def acceptance_of(task: Task, kind: str, parts: Mapping[str, Mapping[str, Any]])
             _check(f"{prefix}normalised_mean", figures["normalised_mean"], target - tolerance, target + tolerance)
         )
         checks.append(_check(f"{prefix}terminal_row_share", figures["terminal_row_share"], *terminal_limits(share)))
+        if f"{task.name}-{part}" in PUBLISHED_SPREAD:
+            checks.append(_check(f"{prefix}std", figures["std"], 0.0, widest_spread(f"{task.name}-{part}")))
         checks.append(_check(f"{prefix}largest_action", figures["largest_action"], 0.0, 1.0))
     return {"passed": all(check["passed"] for check in checks), "checks": checks}
 
@@ -87,6 +99,11 @@ def acceptance_of(task: Task, kind: str, parts: Mapping[str, Mapping[str, Any]])
 def terminal_limits(share: float) -> tuple[float, float]:
     """Smallest and largest share of rows that end with a fall, for a published set with this one."""
     return 0.0 if share <= FEW_TERMINALS else share / TERMINAL_FACTOR, share * TERMINAL_FACTOR
+
+
+def widest_spread(name: str) -> float:
+    """Largest standard deviation of returns, for the published set of this name."""
+    return SPREAD_FACTOR * PUBLISHED_SPREAD[name]
 
 
 def findings_of(acceptance: Mapping[str, Any]) -> list[dict[str, Any]]:

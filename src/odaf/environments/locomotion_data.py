@@ -35,6 +35,7 @@ def generate(
     progress: ProgressReport | None = None,
     policies: ShippedPolicies | None = None,
     contact_margins: ContactMargins | None = None,
+    edition: int | None = None,
 ) -> Dataset:
     """Records the set called `name`; one seed gives the same bits on the same machine and versions.
 
@@ -51,15 +52,16 @@ def generate(
         policies: what acts; None takes the shipped ones.
         contact_margins: how the simulator counts them, see `odaf.environments.contact_margins`; None is as the
             installed one does. What is given is recorded.
+        edition: of the shipped policies, see `odaf.environments.shipped_policies.shipped`; None is the newest.
 
     Raises:
-        ConfigError: the name or version is not known, or the policy it needs is not there.
+        ConfigError: the name, version or edition is not known, or the policy it needs is not there.
     """
     task, kind = split_name(name, version)
     if transitions < 1:
         raise ConfigError(f"transitions={transitions} must be at least 1")
     if policies is None and kind != "random":
-        policies = shipped(task)
+        policies = shipped(task, edition)
     parts = _parts(task, kind, transitions, policies)
     progress = progress or Silent()
     progress.start(name, transitions, unit="rows")

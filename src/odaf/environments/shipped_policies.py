@@ -43,11 +43,16 @@ class ShippedPolicies:
     facts: dict[str, Any]
 
 
-def shipped(task: Task) -> ShippedPolicies:
+def shipped(task: Task, edition: int | None = None) -> ShippedPolicies:
     """The policies of a task.
 
+    Args:
+        task: the task.
+        edition: of its sets, from 1; None takes the newest. Where a better policy was found for a level, the earlier
+            one stays, so that what was measured on its sets can be measured again.
+
     Raises:
-        ConfigError: none are shipped for it.
+        ConfigError: none are shipped for it, or there is no such edition.
     """
     folder = files("odaf.environments") / "policies"
     arrays, page = folder / f"{task.name}.npz", folder / f"{task.name}.json"
@@ -58,7 +63,20 @@ def shipped(task: Task) -> ShippedPolicies:
         )
     with np.load(io.BytesIO(arrays.read_bytes()), allow_pickle=False) as content:
         layers = {name: content[name] for name in content.files}
-    return unpack_policies(layers, json.loads(page.read_text(encoding="utf-8")))
+    return unpack_policies(layers, facts_of_edition(json.loads(page.read_text(encoding="utf-8")), edition))
+
+
+def facts_of_edition(facts: Mapping[str, Any], edition: int | None) -> dict[str, Any]:
+    """A page of facts as it was in an edition: "earlier" holds, from the first on, the levels that were others then."""
+    earlier = facts.get("earlier", [])
+    newest = len(earlier) + 1
+    if edition is not None and not 1 <= edition <= newest:
+        editions = "edition 1 only" if newest == 1 else f"editions 1 to {newest}"
+        raise ConfigError(f"edition {edition}: {facts.get('task')} has {editions}")
+    kept = {name: value for name, value in facts.items() if name != "earlier"}
+    for levels in reversed(earlier[edition - 1 :] if edition is not None else []):
+        kept |= levels
+    return kept
 
 
 def pack_policies(policies: Sequence[GaussianPolicy]) -> dict[str, np.ndarray]:

@@ -43,9 +43,9 @@ COSTLY: tuple[Method, ...] = (("pbrl", ()), ("rorl", ()), ("odaf-rorl", ()), ("o
 
 
 def locomotion_task(name: str) -> Task:
-    """Walking or hopping from 200,000 recorded transitions; every learner has networks of the same size."""
+    """Walking or hopping from 200,000 transitions of the sets' first edition; all networks are of one size."""
     return Task(
-        RecordedLog(name, transitions=200_000),
+        RecordedLog(name, transitions=200_000, edition=1),
         Evaluation(every=5_000, episodes=10, final_episodes=FINAL_EPISODES),
         score="normalised_score",
         common=(("hidden_sizes", (256, 256)), *COMMON),

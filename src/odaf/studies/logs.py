@@ -84,11 +84,13 @@ class RecordedLog(Log):
         set_name: as in `hopper-medium`.
         transitions: rows.
         seed: of starts and actions.
+        edition: of the policies; None is the newest.
     """
 
     set_name: str
     transitions: int = 200_000
     seed: int = 0
+    edition: int | None = None
 
     @property
     def name(self) -> str:
@@ -101,18 +103,20 @@ class RecordedLog(Log):
             "set": self.set_name,
             "transitions": self.transitions,
             "seed": self.seed,
-            "policies_sha256": policies_print(self.set_name),
+            "policies_sha256": policies_print(self.set_name, self.edition),
         }
 
     def make(self, path: Path) -> None:
         from odaf.environments.locomotion_data import generate
 
-        generate(self.set_name, self.transitions, self.seed).save(path)
+        generate(self.set_name, self.transitions, self.seed, edition=self.edition).save(path)
 
     def figures(self, run: "Run") -> dict[str, Any]:
         """What a record keeps of the data: the returns of their whole episodes, and how to make them again."""
         logged = run.data["summary"]["provenance"]["statistics"]
-        made = f"odaf data generate {self.set_name} --transitions {self.transitions} --seed {self.seed} --out FILE"
+        edition = "" if self.edition is None else f" --edition {self.edition}"
+        options = f"--transitions {self.transitions} --seed {self.seed}{edition} --out FILE"
+        made = f"odaf data generate {self.set_name} {options}"
         return {
             "same_set": made,
             "transitions": logged["transitions"],
@@ -124,7 +128,7 @@ class RecordedLog(Log):
 
 
 @cache
-def policies_print(set_name: str) -> str | None:
+def policies_print(set_name: str, edition: int | None = None) -> str | None:
     """A fingerprint of the policies that play in the sets of a task; None where they are not shipped, "none" where
     actions are drawn uniformly.
 
@@ -137,7 +141,7 @@ def policies_print(set_name: str) -> str | None:
     if kind == "random":
         return "none"
     try:
-        policies = shipped(task)
+        policies = shipped(task, edition)
     except ConfigError:
         return None
     needed = {"medium-replay": [policies.replay], "medium-expert": [policies.medium, policies.expert]}
