@@ -138,3 +138,23 @@ def test_the_table_says_which_statistic_and_what_is_resampled(tmp_path):
     assert json.loads(json.dumps(content, allow_nan=False)) == content | {"notes": []}
     assert content["runs"][0]["seed_means"] == [12.0, 16.0, 12.0]
     assert read_run(tmp_path / "a").seeds[0].broken is False
+
+
+def test_a_run_without_a_score_is_left_out_and_the_others_are_compared(tmp_path):
+    runs = [scored_run(tmp_path / "a", FIRST), scored_run(tmp_path / "b", SECOND, "rorl")]
+    without = scored_run(tmp_path / "c", {}, "sac-n")
+    found = odaf.compare([runs[0], without, runs[1]])
+    assert [run.name for run in found.runs] == ["odaf", "rorl"] and len(found.pairs) == 1
+    (note,) = found.notes
+    assert note.startswith("sac-n is left out: ") and "c: has no score, for no seed was evaluated" in note
+    with pytest.raises(ConfigError, match="c: has no score"):
+        odaf.compare(runs, against=without)
+
+
+def test_runs_of_long_names_are_numbered_in_pairs_so_that_lines_fit(tmp_path):
+    runs = [scored_run(tmp_path / "a", FIRST), scored_run(tmp_path / "b", SECOND, "rorl")]
+    long = "odaf without its outcome term"
+    table = str(odaf.compare(runs, names=[long, "rorl"]))
+    assert f"[1] {long}" in table and "[2] rorl" in table
+    assert "[1] against [2]" in table and f"{long} against" not in table
+    assert "odaf against rorl" in str(odaf.compare(runs))

@@ -45,6 +45,9 @@ STATISTICS = {
 }
 """What each number of a comparison is."""
 
+LONGEST_IN_PAIRS = 24
+"""Characters of a name; where one is longer, the printed pairs name runs by number."""
+
 
 @dataclass(frozen=True)
 class ComparedRun:
@@ -118,9 +121,11 @@ class Comparison:
     def __str__(self) -> str:
         places = decimals([mean for run in self.runs for mean in run.seed_means])
         parts = [f"note: {note}" for note in self.notes]
-        parts.append(_run_table(self.runs, places))
+        long = any(len(run.name) > LONGEST_IN_PAIRS for run in self.runs)
+        numbers = {run.name: f"[{number}]" for number, run in enumerate(self.runs, start=1)} if long else {}
+        parts.append(_run_table(self.runs, places, numbers))
         if self.pairs:
-            parts.append(_pair_table(self.pairs, places))
+            parts.append(_pair_table(self.pairs, places, numbers))
         shown = list(STATISTICS)[: 5 if self.pairs else 2]
         parts.append("\n".join(f"{name}: {STATISTICS[name]}" for name in shown))
         return "\n\n".join(parts)
@@ -138,7 +143,7 @@ def compare(
 
     Scores are those of the last checkpoint, as each run's own evaluation left them. A difference is taken seed by seed
     where two runs have the same seeds, the same data and the same environment, and between independent samples
-    elsewhere. Where runs differ in data, environment, episodes or updates, the comparison says so in its notes.
+    elsewhere. Runs without a score are left out, and a note says why. Where runs differ in data, environment, episodes or updates, the comparison says so in its notes.
 
     Args:
         runs: runs, their directories, or folders that hold some.
@@ -150,7 +155,7 @@ def compare(
         confidence: of all intervals.
 
     Raises:
-        ConfigError: a path is no run, a run has no score, or `names` do not fit.
+        ConfigError: a path is no run, no run has a score or that of `against` has none, or `names` do not fit.
         CheckpointError: a file of a run is damaged.
     """
     found = find_runs([_directory(run) for run in runs])
@@ -163,33 +168,44 @@ def compare(
         if chosen.resolve() not in places:
             found, places = [*found, chosen], [*places, chosen.resolve()]
         reference = places.index(chosen.resolve())
-    records = [read_run(directory) for directory in found]
-    called = names_of(records, names)
-    compared = [_compared(record, name, confidence) for record, name in zip(records, called, strict=True)]
+    every_record = [read_run(directory) for directory in found]
+    called = names_of(every_record, names)
+    scored = [place for place, record in enumerate(every_record) if record.evaluated]
+    if not scored or (reference is not None and reference not in scored):
+        raise ConfigError(_without_score(every_record[reference or 0]))
+    records = [every_record[place] for place in scored]
+    compared = [_compared(every_record[place], called[place], confidence) for place in scored]
     every = range(len(records))
-    wanted = (
-        itertools.combinations(every, 2) if reference is None else ((i, reference) for i in every if i != reference)
-    )
+    other = None if reference is None else scored.index(reference)
+    wanted = itertools.combinations(every, 2) if other is None else ((i, other) for i in every if i != other)
     pairs = [_pair([records[i] for i in two], [compared[i] for i in two], data_free, confidence) for two in wanted]
-    return Comparison(tuple(compared), tuple(pairs), tuple(_notes(records, compared)))
+    left_out = [
+        f"{name} is left out: {_without_score(record)}"
+        for name, record in zip(called, every_record, strict=True)
+        if not record.evaluated
+    ]
+    return Comparison(tuple(compared), tuple(pairs), (*_notes(records, compared), *left_out))
 
 
 def _directory(run: str | PathLike[str] | Run) -> Path:
     return run.directory if isinstance(run, Run) else Path(run)
 
 
-def _compared(record: RunRecord, name: str, confidence: float) -> ComparedRun:
-    if not record.evaluated:
-        broken = ", ".join(str(seed.seed) for seed in record.seeds if seed.broken)
-        if broken:
-            raise ConfigError(
-                f"{record.directory}: has no score, for each episode of the last evaluation of seeds {broken} "
-                "broke off on a number that is not finite; `odaf evaluate` says on which, and leave the run out"
-            )
-        raise ConfigError(
-            f"{record.directory}: has no score, for no seed was evaluated; train with evaluation, go on with "
-            "`odaf resume`, or leave the run out"
+def _without_score(record: RunRecord) -> str:
+    """Why a run has no score, and what to do."""
+    broken = ", ".join(str(seed.seed) for seed in record.seeds if seed.broken)
+    if broken:
+        return (
+            f"{record.directory}: has no score, for each episode of the last evaluation of seeds {broken} "
+            "broke off on a number that is not finite; `odaf evaluate` says on which"
         )
+    return (
+        f"{record.directory}: has no score, for no seed was evaluated; train with evaluation, or go on with "
+        "`odaf resume`"
+    )
+
+
+def _compared(record: RunRecord, name: str, confidence: float) -> ComparedRun:
     evaluations = [seed.evaluation for seed in record.evaluated if seed.evaluation is not None]
     returns = [found.returns for found in evaluations if found.returns is not None and found.returns.size]
     return ComparedRun(
@@ -295,20 +311,24 @@ def _range(values: Sequence[int]) -> str:
     return f"{min(values):,}" if len(set(values)) == 1 else f"{min(values):,} to {max(values):,}"
 
 
-def _run_table(runs: Sequence[ComparedRun], places: int) -> str:
+def _run_table(runs: Sequence[ComparedRun], places: int, numbers: Mapping[str, str]) -> str:
     middle = any(run.interquartile_mean is not None for run in runs)
     header = ["run", "mean return", _interval_heading(runs[0].estimate.confidence)]
     header += [*(["interquartile mean"] if middle else []), "seeds", "episodes", "updates"]
     rows = []
     for run in runs:
         estimate = run.estimate
-        row = [run.name, _number(estimate.mean, places), _interval(estimate.low, estimate.high, places, "one seed")]
+        row = [
+            f"{numbers.get(run.name, '')} {run.name}".strip(),
+            _number(estimate.mean, places),
+            _interval(estimate.low, estimate.high, places, "one seed"),
+        ]
         row += [_number(run.interquartile_mean, places)] if middle else []
         rows.append([*row, str(len(run.seeds)), f"{sum(run.episodes):,}", _range(run.steps)])
     return table(header, rows)
 
 
-def _pair_table(pairs: Sequence[ComparedPair], places: int) -> str:
+def _pair_table(pairs: Sequence[ComparedPair], places: int, numbers: Mapping[str, str]) -> str:
     interval = _interval_heading(pairs[0].difference.confidence)
     header = ["first against second", "difference", interval, "statistic", "P(first > second)", interval]
     rows = []
@@ -317,7 +337,7 @@ def _pair_table(pairs: Sequence[ComparedPair], places: int) -> str:
         enough = "cannot be said" if found.enough is None else f"{found.enough:,}"
         rows.append(
             [
-                f"{pair.first} against {pair.second}",
+                f"{numbers.get(pair.first, pair.first)} against {numbers.get(pair.second, pair.second)}",
                 f"{found.mean:+,.{places}f}",
                 _interval(found.low, found.high, places, "one seed", "+"),
                 found.statistic,
