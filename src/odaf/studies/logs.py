@@ -127,6 +127,56 @@ class RecordedLog(Log):
         }
 
 
+@dataclass(frozen=True)
+class MixedLog(Log):
+    """Few rows of a robot's expert, then many random ones: `hopper-mixture-80` has 80 % random rows.
+
+    Attributes:
+        robot: as in `hopper`.
+        random_percent: of the rows.
+        transitions: rows.
+        seed: of starts and actions, in both parts.
+    """
+
+    robot: str
+    random_percent: int = 80
+    transitions: int = 100_000
+    seed: int = 0
+
+    @property
+    def name(self) -> str:
+        return f"{self.robot}-mixture-{self.random_percent}"
+
+    @property
+    def parts(self) -> tuple[RecordedLog, RecordedLog]:
+        """The expert's rows and the random ones."""
+        random_rows = self.transitions * self.random_percent // 100
+        return (
+            RecordedLog(f"{self.robot}-expert", self.transitions - random_rows, self.seed),
+            RecordedLog(f"{self.robot}-random", random_rows, self.seed),
+        )
+
+    def recipe(self) -> dict[str, Any]:
+        expert, other = self.parts
+        return {"kind": "mixed", "version": 1, "expert": expert.recipe(), "random": other.recipe()}
+
+    def make(self, path: Path) -> None:
+        from odaf.data.mixing import mix
+        from odaf.environments.locomotion_data import generate
+
+        expert, other = (generate(part.set_name, part.transitions, part.seed) for part in self.parts)
+        mix(expert, other, self.random_percent / 100, self.transitions).save(path)
+
+    def figures(self, run: "Run") -> dict[str, Any]:
+        """What a record keeps of the data: the returns of all their episodes, and their mean as a score."""
+        from odaf.environments.reference_returns import reference_of
+
+        summary, reference = run.data["summary"], reference_of(run.data["environment"]["id"])
+        kept = {key: summary[key] for key in ("transitions", "episodes", "mean_return", "best_return")}
+        score = None if reference is None else reference.normalise(summary["mean_return"])
+        return {**kept, "random_percent": self.random_percent, "normalised_score": score}
+
+
 @cache
 def policies_print(set_name: str, edition: int | None = None) -> str | None:
     """A fingerprint of the policies that play in the sets of a task; None where they are not shipped, "none" where

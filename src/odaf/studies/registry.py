@@ -5,5 +5,6 @@ from odaf.studies.job import Study
 from odaf.studies.locomotion import STUDY as LOCOMOTION
 from odaf.studies.outcome import STUDY as OUTCOME
 from odaf.studies.pointmaze import STUDY as POINTMAZE
+from odaf.studies.rivals import STUDY as RIVALS
 
-STUDIES: dict[str, Study] = {study.name: study for study in (POINTMAZE, OUTCOME, LOCOMOTION, GENERATORS)}
+STUDIES: dict[str, Study] = {study.name: study for study in (POINTMAZE, OUTCOME, LOCOMOTION, RIVALS, GENERATORS)}

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from odaf.studies.logs import MazeLog, RecordedLog
+from odaf.studies.logs import MazeLog, MixedLog, RecordedLog
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Task:
         version: raised when the same log and evaluation would give other scores. Older records have 1.
     """
 
-    log: MazeLog | RecordedLog
+    log: MazeLog | MixedLog | RecordedLog
     evaluation: Evaluation
     score: str = "mean_return"
     field: str = "task"
