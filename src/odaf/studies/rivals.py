@@ -4,9 +4,10 @@ The settings are those of the presets, with their values for the log where they 
 """
 
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
+from odaf.runs import presets
 from odaf.studies.job import Phase, Record, Study
 from odaf.studies.logs import LOCAL, MixedLog, RecordedLog
 from odaf.studies.tables import grouped
@@ -24,7 +25,19 @@ Method = tuple[str, tuple[tuple[str, Any], ...]]
 
 BY_RETURN: tuple[tuple[str, Any], ...] = (("sampling", "return"),)
 UNIFORM: tuple[tuple[str, Any], ...] = (("sampling", "uniform"),)
-FAST: tuple[str, ...] = ("behaviour-cloning", "behaviour-cloning-best", "td3-bc", "iql", "rebrac")
+# Cheap ones first.
+LEARNERS: tuple[str, ...] = (
+    "behaviour-cloning",
+    "behaviour-cloning-best",
+    "td3-bc",
+    "iql",
+    "bcq",
+    "brac-p",
+    "brac-v",
+    "bear",
+    "rebrac",
+    "cql",
+)
 MIXTURE: tuple[Method, ...] = (
     ("behaviour-cloning-best", ()),
     ("rebrac-return", ()),
@@ -49,14 +62,18 @@ def mixture_task() -> Task:
 
 def plan() -> list[Phase]:
     """The mixture first, a seed of every method before the next seed; then the medium log, cheap learners first."""
+    mixture = [
+        Training(preset, mixture_task(), seed, MIXTURE_STEPS, changes)
+        for seed in range(MIXTURE_SEEDS)
+        for preset, changes in MIXTURE
+    ]
+    medium = [Training(preset, medium_task(), 0, MEDIUM_STEPS + _warm_up_steps(preset)) for preset in LEARNERS]
+    return phases_of(("Hopper, 80 % random rows", mixture), ("Hopper, medium: every learner", medium))
 
-    def runs(methods: Iterable[Method], task: Task, steps: int, seeds: int) -> list[Training]:
-        return [Training(preset, task, seed, steps, changes) for seed in range(seeds) for preset, changes in methods]
 
-    return phases_of(
-        ("Hopper, 80 % random rows", runs(MIXTURE, mixture_task(), MIXTURE_STEPS, MIXTURE_SEEDS)),
-        ("Hopper, medium: every learner", runs(((name, ()) for name in FAST), medium_task(), MEDIUM_STEPS, 1)),
-    )
+def _warm_up_steps(preset: str) -> int:
+    """Updates in which a learner's actor sees no value yet; they come on top of the others."""
+    return int(presets.settings(preset).get("warm_up_steps", 0))
 
 
 def last_evaluations(record: Record) -> list[float]:
