@@ -143,7 +143,8 @@ def compare(
 
     Scores are those of the last checkpoint, as each run's own evaluation left them. A difference is taken seed by seed
     where two runs have the same seeds, the same data and the same environment, and between independent samples
-    elsewhere. Runs without a score are left out, and a note says why. Where runs differ in data, environment, episodes or updates, the comparison says so in its notes.
+    elsewhere. Runs without a score are left out, and a note says why. Where runs differ in data, environment, episodes
+    or updates, the comparison says so in its notes.
 
     Args:
         runs: runs, their directories, or folders that hold some.
