@@ -87,7 +87,7 @@ def table(records: Sequence[Record]) -> str:
         f"Normalised scores on {LOCAL}: 0 for a random policy, 100 for an expert; {EVALUATION.episodes} episodes an",
         "evaluation, deterministic policy. `last` is the last checkpoint, `last three` the mean of the last three",
         f"evaluations, {EVALUATION.every:,} updates apart, `worst seed` the lowest of these. Intervals are 95 %",
-        "Student intervals over seeds. Seconds hold everything, on one core of a machine that did other things as well.",
+        "Student intervals over seeds. Seconds hold everything, on one core of a machine that had other work.",
         "Made by `odaf reproduce rivals` from the records in this folder.",
     ]
     for task, group in grouped(records, lambda record: record["task"]).items():
