@@ -37,9 +37,11 @@ LEARNERS: tuple[str, ...] = (
     "bcq",
     "brac-p",
     "brac-v",
-    "bear",
+    "atac",
     "rebrac",
+    "bear",
     "cql",
+    "sdc",
 )
 MIXTURE: tuple[Method, ...] = (
     ("behaviour-cloning-best", ()),
