@@ -78,7 +78,8 @@ def plan() -> list[Phase]:
 
 def _warm_up_steps(preset: str) -> int:
     """Updates in which a learner's actor sees no value yet; they come on top of the others."""
-    return int(presets.settings(preset).get("warm_up_steps", 0))
+    settings = presets.settings(preset)
+    return int(settings.get("warm_up_steps", 0) or settings.get("warm_start_updates", 0))
 
 
 def last_evaluations(record: Record) -> list[float]:
