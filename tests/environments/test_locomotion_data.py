@@ -220,9 +220,8 @@ def test_the_first_edition_of_halfcheetah_plays_as_it_did():
     assert (
         newest.facts["medium"]["std_return"] < widest_spread("halfcheetah-medium") < first.facts["medium"]["std_return"]
     )
-    assert policies_print("halfcheetah-medium", 1).startswith(
-        "1201d4e4"
-    )  # of the records made before there was another
+    before = policies_print("halfcheetah-medium", 1)
+    assert before is not None and before.startswith("1201d4e4")  # as records name it that were made before the second
     assert policies_print("halfcheetah-medium") != policies_print("halfcheetah-medium", 1)
     assert policies_print("hopper-medium", 1) == policies_print("hopper-medium")
 
