@@ -118,6 +118,32 @@ def odaf(*arguments: str, **options) -> subprocess.CompletedProcess[str]:
     return subprocess.run([sys.executable, "-m", "odaf", *arguments], capture_output=True, text=True, **options)
 
 
+@pytest.mark.parametrize(
+    ("words", "given", "threads"),
+    [
+        (["data", "generate"], None, "1"),
+        (["evaluate"], "4", "4"),
+        (["data", "check"], None, None),
+    ],
+)
+def test_what_plays_step_by_step_has_one_thread_for_products(
+    words: list[str], given: str | None, threads: str | None, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.delenv("OMP_NUM_THREADS", raising=False)  # so that what the command sets is taken back afterwards
+    if given is not None:
+        monkeypatch.setenv("OMP_NUM_THREADS", given)
+    seen: list[str | None] = []
+
+    def guarded(*_: object) -> int:
+        seen.append(os.environ.get("OMP_NUM_THREADS"))
+        return 0
+
+    monkeypatch.setattr(dispatch, "run_guarded", guarded)
+    assert main(words) == 0
+    assert seen == [threads]
+    os.environ.pop("OMP_NUM_THREADS", None)
+
+
 def test_help_answers_within_a_second():
     """Measured in processor time, so that a busy machine does not count."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)

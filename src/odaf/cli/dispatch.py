@@ -71,6 +71,11 @@ COMMANDS = (
 )
 
 
+# Played step by step, where a second thread for products of some hundred numbers waits more than it helps, and on a
+# busy machine turns seconds into minutes.
+PLAYING = ("data generate", "train", "resume", "evaluate", "behaviour train", "behaviour export", "demo", "reproduce")
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Run one command.
 
@@ -95,6 +100,8 @@ def main(arguments: list[str] | None = None) -> int:
             print(table_of_commands(words[0]))
             return 0
         return complain("odaf", unknown_command(words))
+    if command.name in PLAYING:  # read once, when NumPy is loaded; JAX has threads of its own
+        os.environ.setdefault("OMP_NUM_THREADS", "1")
     return run_guarded(command, rest, debug)
 
 
