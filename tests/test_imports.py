@@ -23,6 +23,7 @@ ORDER = (
     "evaluation",
     "runs",
     "report",
+    "estimation",
     "behaviour",
     "studies",
     "cli",

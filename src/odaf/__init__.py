@@ -35,6 +35,7 @@ _HOME_OF = {
     "ValueSmoothing": "odaf.algorithms.terms",
     "combinations": "odaf.runs.many",
     "compare": "odaf.report.comparison",
+    "estimate": "odaf.estimation",
     "evaluate": "odaf.runs.evaluate",
     "fit": "odaf.runs.fit",
     "fit_many": "odaf.runs.many",
@@ -52,6 +53,7 @@ _ROOMS = (
     "components",
     "data",
     "environments",
+    "estimation",
     "evaluation",
     "report",
     "runs",
@@ -65,6 +67,7 @@ if TYPE_CHECKING:
     from odaf import components as components
     from odaf import data as data
     from odaf import environments as environments
+    from odaf import estimation as estimation
     from odaf import evaluation as evaluation
     from odaf import report as report
     from odaf import runs as runs
@@ -86,6 +89,7 @@ if TYPE_CHECKING:
     )
     from odaf.data import Dataset
     from odaf.errors import CheckpointError, ConfigError, DatasetError, DivergenceError, OdafError
+    from odaf.estimation import estimate
     from odaf.evaluation import Policy, Rollouts, Run, rollout
     from odaf.report.comparison import compare
     from odaf.runs.evaluate import evaluate
@@ -121,6 +125,7 @@ __all__ = [
     "__version__",
     "combinations",
     "compare",
+    "estimate",
     "evaluate",
     "fit",
     "fit_many",

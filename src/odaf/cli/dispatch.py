@@ -61,6 +61,7 @@ COMMANDS = (
     Command("train", "PRESET --data FILE --out DIR", "learn policies from data sets", "odaf.cli.train"),
     Command("resume", "DIR", "go on with a run exactly where it stopped", "odaf.cli.resume"),
     Command("evaluate", "DIR", "play episodes with the policies of a run", "odaf.cli.evaluate"),
+    Command("estimate", "RUN --data HOLDOUT", "say from a log alone what a policy is worth", "odaf.cli.estimate"),
     Command("report", "DIR... --out FILE", "draw one page that compares runs", "odaf.cli.report"),
     Command("compare", "DIR...", "say whether one run is better, and how sure", "odaf.cli.compare"),
     Command("cite", "METHOD...", "print the papers of a method", "odaf.cli.cite"),

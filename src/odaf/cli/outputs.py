@@ -92,6 +92,7 @@ DEMO_SUMMARY = Kind("a summary of `odaf demo`", _is_json_with("dataset", "method
 CHECK_REPORT = Kind("a report of `odaf data check`", _is_json_with("usable", "findings"), streams=True)
 SCORES = Kind("scores of `odaf evaluate`", _is_json_with("seeds", "mean_return"), streams=True)
 COMPARISON = Kind("a comparison of `odaf compare`", _is_json_with("runs", "pairs", "statistics"), streams=True)
+VALUATION = Kind("estimates of `odaf estimate`", _is_json_with("behaviour", "estimates"), streams=True)
 ATTACK_SCORES = Kind("scores of `odaf evaluate --attack`", _is_json_with("attack", "budgets"), streams=True)
 
 

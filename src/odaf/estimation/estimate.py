@@ -1,0 +1,125 @@
+"""The front of the estimators: where a policy and a log come from, and which estimators can judge them."""
+
+import os
+from dataclasses import fields
+from pathlib import Path
+from typing import Any, Literal
+
+import jax.random as jr
+
+from odaf.components.fitting import Progress
+from odaf.components.policies import Actor
+from odaf.data.dataset import Dataset
+from odaf.errors import ConfigError
+from odaf.estimation.beside import Beside
+from odaf.estimation.recorded import check_horizon, shown_horizon
+from odaf.estimation.settings import Acting, EstimateSettings
+from odaf.estimation.valuation import Valuation
+from odaf.training.policy import Policy
+from odaf.training.run_directory import RunDirectory
+from odaf.training.settings import products_in
+
+Method = Literal["fqe", "wis", "pdis", "dr", "all"]
+ESTIMATORS: dict[str, str] = {
+    "fqe": "fitted Q evaluation",
+    "wis": "weighted importance sampling of whole episodes",
+    "pdis": "weighted per-decision importance sampling",
+    "dr": "weighted doubly robust",
+}
+"""By name, in the order of a table."""
+
+
+def estimate(
+    policy: Policy | str | os.PathLike[str],
+    data: Dataset | str | os.PathLike[str],
+    *,
+    method: Method = "all",
+    acting: Acting = "mode",
+    discount: float = 1.0,
+    horizon: int | None = None,
+    log_probs: str | None = None,
+    training_seed: int | None = None,
+    step: int | None = None,
+    seed: int = 0,
+    settings: EstimateSettings | None = None,
+    progress: Progress | None = None,
+    **changes: Any,
+) -> Valuation:
+    """What a policy is worth, in the log's unit of reward, from a log that it did not learn from.
+
+    Args:
+        policy: a policy, the file of one, or a run's directory.
+        data: the hold-out, such as `odaf data split` sets aside; the same columns, units and action bounds as the log
+            that the policy learned from.
+        method: an estimator of `ESTIMATORS`, or "all".
+        acting: "mode" judges the actions that a deployed policy takes, "draws" a stochastic policy that draws them.
+            Estimators that weigh actions by their probability need draws.
+        discount: weight of a reward one step later; 1 sums them plainly.
+        horizon: steps of an episode that are counted; None takes what the log shows, the median length of recordings
+            that were cut, or the longest episode if none was.
+        log_probs: column of `infos` with the log-density in nats of each logged action, in the log's units; None
+            estimates it.
+        training_seed: of a run, whose policy is judged; None the first.
+        step: of a run, the checkpoint after so many updates; None the last.
+        seed: of everything random.
+        settings: sizes of what is fitted.
+        progress: called with (steps done, steps in all).
+        **changes: fields of `EstimateSettings` by name; they go before those in `settings`.
+
+    Raises:
+        ConfigError: an argument is out of range, or the one estimator that was asked for needs a density that the
+            policy has not.
+        DatasetError: policy and log do not fit, or the log has a single episode.
+        CheckpointError: there is no run, policy or checkpoint.
+        DivergenceError: a fit stopped being finite.
+    """
+    chosen = tuple(ESTIMATORS) if method == "all" else (method,)
+    if not set(chosen) <= set(ESTIMATORS):
+        raise ConfigError(f"method={method!r} is none of {', '.join(ESTIMATORS)}, all")
+    if acting not in ("mode", "draws"):
+        raise ConfigError(f"acting={acting!r} must be mode or draws")
+    unknown = set(changes) - {field.name for field in fields(EstimateSettings)}
+    if unknown:
+        known = ", ".join(field.name for field in fields(EstimateSettings))
+        raise ConfigError(f"{sorted(unknown)[0]}: is no setting of an estimate; there are {known}")
+    settings = EstimateSettings(**{**(vars(settings) if settings is not None else {}), **changes})
+    found, precision = _policy_of(policy, training_seed, step)
+    dataset = data if isinstance(data, Dataset) else Dataset.load(data)
+    horizon = shown_horizon(dataset) if horizon is None else horizon
+    check_horizon(horizon, discount)
+    with products_in(precision):
+        judged = Beside(found, dataset, acting, horizon, discount, settings, jr.key(seed))
+        weighing = _refusal(judged, method) if set(chosen) & {"wis", "pdis", "dr"} else ""
+        return judged.valuation(chosen, weighing, log_probs, progress or (lambda done, total: None))
+
+
+def _policy_of(policy: Policy | str | os.PathLike[str], seed: int | None, step: int | None) -> tuple[Policy, Any]:
+    """The policy without its derivation, since the log's observations are computed already; and its precision."""
+    if isinstance(policy, Policy) or Path(policy).is_file():
+        if seed is not None or step is not None:
+            raise ConfigError("training_seed=, step=: choose a policy of a run; leave them out for a single policy")
+        loaded = policy if isinstance(policy, Policy) else Policy.load(policy)
+        return loaded.without_derivation(), None
+    run = RunDirectory(Path(policy))
+    chosen = run.policy(run.seeds[0] if seed is None else seed, step)
+    return chosen.without_derivation(), run.config.get("precision")
+
+
+def _refusal(judged: "Beside", method: str) -> str:
+    """Why actions cannot be weighed by their probability; raised where nothing else was asked for."""
+    actor = judged.policy.actor
+    reason = ""
+    if type(actor).log_density is Actor.log_density:
+        reason = (
+            f"{type(actor).__name__}: is deterministic, so no logged action has a probability under it and none can "
+            'be weighed; method="fqe" asks for no density'
+        )
+    elif judged.acting == "mode":
+        reason = (
+            f"{type(actor).__name__}: as deployed it takes one action at each state, so no logged action has a "
+            'probability under it; acting="draws" judges the policy that draws its actions, and method="fqe" asks for '
+            "no density"
+        )
+    if reason and method != "all":
+        raise ConfigError(f"method={method}: {reason}")
+    return reason

@@ -1,0 +1,137 @@
+"""What an estimate says: values with intervals, how much of the log speaks for them, and a verdict in words."""
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from scipy.special import stdtrit
+
+from odaf.report.plain_tables import table
+from odaf.training.files import plain
+
+Verdict = Literal["better", "worse", "not decided", "refused"]
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A number with the ends of its interval; NaN where there is none."""
+
+    value: float
+    low: float
+    high: float
+
+    @classmethod
+    def of_resamples(cls, value: float, resamples: np.ndarray, confidence: float) -> "Interval":
+        """Percentiles of what resampled episodes gave."""
+        known = resamples[np.isfinite(resamples)]
+        if len(known) < 2:
+            return cls(value, math.nan, math.nan)
+        tail = 50.0 * (1.0 - confidence)
+        low, high = np.percentile(known, [tail, 100.0 - tail])
+        return cls(value, float(low), float(high))
+
+    @classmethod
+    def of_members(cls, value: float, members: np.ndarray, confidence: float) -> "Interval":
+        """Student's, with the spread of members that each saw resampled episodes as the standard error."""
+        if len(members) < 2:
+            return cls(value, math.nan, math.nan)
+        half = float(stdtrit(len(members) - 1, 0.5 + confidence / 2) * np.std(members, ddof=1))
+        return cls(value, value - half, value + half)
+
+    def __str__(self) -> str:
+        if math.isnan(self.value):
+            return "-"
+        if math.isnan(self.low):
+            return f"{self.value:,.4g}"
+        return f"{self.value:,.4g} ({self.low:,.4g} to {self.high:,.4g})"
+
+
+@dataclass(frozen=True)
+class ValueEstimate:
+    """What one estimator says of the policy.
+
+    Attributes:
+        method: its name.
+        value: of an episode up to the horizon, in the log's unit of reward; None where the estimator was refused.
+        per_step: the same divided by the steps that an episode lasts.
+        difference: from the behaviour's own value, of an episode.
+        verdict: whether the policy is better than what was logged; "refused" where the log cannot tell.
+        reason: why it was refused, else an empty text.
+        effective_episodes: of importance weights; None for estimators without.
+        figures: further numbers, by name.
+    """
+
+    method: str
+    value: Interval | None
+    per_step: Interval | None
+    difference: Interval | None
+    verdict: Verdict
+    reason: str = ""
+    effective_episodes: float | None = None
+    figures: Mapping[str, float] = dataclasses.field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Valuation:
+    """What a policy is worth, told from a log.
+
+    Attributes:
+        policy: where the policy comes from.
+        behaviour: what an episode of the log itself earned, up to the horizon.
+        behaviour_per_step: the same divided by the steps that an episode lasts.
+        estimates: by each estimator, in the order they were asked for.
+        horizon: steps of an episode that are counted.
+        discount: weight of a reward one step later; 1 sums them plainly.
+        acting: which actions of the policy are judged: "mode", as deployed, or "draws".
+        episodes: in the log.
+        confidence: of all intervals, over episodes.
+        unlike: share of the policy's actions that are less probable than all but a hundredth of the logged ones.
+        notes: what a reader has to know besides, as sentences.
+    """
+
+    policy: Mapping[str, Any]
+    behaviour: Interval
+    behaviour_per_step: Interval
+    estimates: tuple[ValueEstimate, ...]
+    horizon: int
+    discount: float
+    acting: str
+    episodes: int
+    confidence: float
+    unlike: float
+    notes: tuple[str, ...]
+
+    def __getitem__(self, method: str) -> ValueEstimate:
+        """What the estimator of that name says."""
+        return {each.method: each for each in self.estimates}[method]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain JSON types; NaN as None."""
+        return plain(dataclasses.asdict(self))
+
+    def __str__(self) -> str:
+        rows = [["behaviour", str(self.behaviour), str(self.behaviour_per_step), "-", "-", "the log itself"]]
+        for each in self.estimates:
+            cells = ["-" if each_ is None else str(each_) for each_ in (each.value, each.per_step, each.difference)]
+            effective = "-" if each.effective_episodes is None else f"{each.effective_episodes:,.1f}"
+            rows.append([each.method, *cells, effective, each.verdict])
+        header = [
+            "estimator",
+            "value of an episode",
+            "by step",
+            "beside the behaviour",
+            "effective episodes",
+            "verdict",
+        ]
+        sums = "plain sums of rewards" if self.discount == 1.0 else f"discount {self.discount:g}"
+        lines = [
+            table(header, rows),
+            "",
+            f"{self.confidence:.0%} intervals over {self.episodes:,} episodes, to step {self.horizon:,}, {sums}; "
+            f"{self.unlike:.0%} of the policy's actions are unlike the log's",
+        ]
+        lines += [f"\n{each.method}: {each.reason}" for each in self.estimates if each.reason]
+        return "\n".join([*lines, *(f"\nnote: {note}" for note in self.notes)])
