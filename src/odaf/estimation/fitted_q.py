@@ -1,19 +1,19 @@
 """Fitted Q evaluation to a horizon: what actions are worth under a policy, from the rows of a log.
 
-    Q(s, a, h) = n_h q(s, a, h / H),     n_h = sum_{k < h} gamma^k
+    Q(s, a, h) = n_h q(s, a, h),     n_h = sum_{k < h} gamma^k
     L = mean_B sum ( q(s, a, h) - y / n_h )^2,     y = (r, 1) + gamma (1 - d) Q'(s', a', h - 1),   a' ~ pi(.|s')
 
 (Le et al. 2019; Q' is a slow copy.) h is the number of steps that are left, drawn anew for every row from 1 to H, so
 that undiscounted sums up to a horizon are as well defined as discounted ones; Q(., ., 0) = 0. The network gives a mean
-by step: its targets have the size of a reward whatever h is. It has two outputs, one for rewards, which are shifted to
-mean 0 and scaled to spread 1 beforehand, and one for rewards that are all 1: the steps that an episode lasts. With
-both, the shift is taken back exactly where episodes end, and a value by step is known. A true end cuts the sum, a
-time-out does not.
+by step: its targets have the size of a reward whatever h is. It sees h / H and 1 / n_h, the weight of the reward in y.
+It has two outputs, one for rewards, which are shifted to mean 0 and scaled to spread 1 beforehand, and one for rewards
+that are all 1: the steps that an episode lasts. With both, the shift is taken back exactly where episodes end, and a
+value by step is known. A true end cuts the sum, a time-out does not.
 
 Every member of the ensemble learns from episodes drawn with replacement, and its value is that of their first states:
 the spread of the members is a standard error over episodes. All steps are taken: an error on episodes held out would
-have to be a Bellman error, whose square counts the chance in what follows as error too, so that the fit which promises
-least looks best wherever episodes end by chance (it was 17 % too low on a problem whose value is known).
+have to be a Bellman error, whose square counts the chance in what follows as error too, so that where episodes end by
+chance the fit which promises least looks best.
 """
 
 from dataclasses import dataclass
@@ -53,9 +53,10 @@ class FiniteHorizonQ(eqx.Module):
         actions: Float[Array, "*m rows act"],
         steps: Int[Array, "*m rows"],
     ) -> Float[Array, "members rows outputs"]:
-        """q(s, a, h / H) of every member."""
+        """q(s, a, h) of every member."""
         left = steps.astype(jnp.float32) / self.horizon
-        return self.networks(jnp.concatenate([observations, actions, left[..., None]], axis=-1))
+        share = 1.0 / jnp.maximum(self.sums[steps], 1.0)
+        return self.networks(jnp.concatenate([observations, actions, left[..., None], share[..., None]], axis=-1))
 
     def targets(
         self,
@@ -189,7 +190,7 @@ def fit_q(
             rows.next_actions,
         )
     )
-    inputs = rows.observations.shape[1] + rows.actions.shape[1] + 1
+    inputs = rows.observations.shape[1] + rows.actions.shape[1] + 2
     model = FiniteHorizonQ(
         init_mlp(key_init, (inputs, *hidden_sizes, 2), members=members, hidden_bias=0.0),
         jnp.asarray(discounted_steps(horizon, discount), jnp.float32),
