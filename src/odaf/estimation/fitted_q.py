@@ -230,7 +230,7 @@ def _resampled_rows(
         drawn = rng.integers(0, len(there), len(there))
         np.add.at(counts[member], there[drawn], 1.0)
         rows = np.concatenate([np.arange(int(lengths[each])) + starts[each] for each in drawn])
-        table.append(rng.choice(rows, len(episode_of_row)))
+        table.append(np.resize(rng.permutation(rows), len(episode_of_row)))  # no chance but that of the episodes
     return np.concatenate(table), counts
 
 
