@@ -103,7 +103,7 @@ def test_fitted_q_finds_the_known_value(ends: bool, discount: float):
         np.full((copies * len(dataset), 1, 1), ACTION, np.float32),
         np.repeat(np.arange(300), copies * dataset.episode_lengths()),
     )
-    settings = SMALL.fitting() | {"batch_size": 512}
+    settings = dataclasses.replace(SMALL, batch_size=512).fitting()
     found = fit_q(rows, 300, HORIZON, discount, jr.key(1), members=4, progress=lambda done, total: None, **settings)
     states = np.array([[-0.5], [0.5]], np.float32)
     actions = np.full((2, 1, 1), ACTION, np.float32)
