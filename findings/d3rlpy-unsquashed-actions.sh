@@ -23,10 +23,12 @@ from importlib.metadata import version
 
 import d3rlpy
 import numpy as np
+import structlog
 import torch
 from d3rlpy.models.torch.imitators import forward_vae_sample
 
 print(", ".join(f"{name} {version(name)}" for name in ("d3rlpy", "torch")))
+structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(50))  # d3rlpy tells much on the way
 torch.set_num_threads(1)
 d3rlpy.seed(0)
 random = np.random.default_rng(0)
