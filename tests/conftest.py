@@ -2,6 +2,7 @@
 
 import functools
 import os
+import signal
 from collections.abc import Callable
 from pathlib import Path
 
@@ -24,6 +25,10 @@ def _own_cores() -> None:
 
 
 _own_cores()
+
+# A shell's background jobs, and what nohup starts, ignore interrupts, which some tests send.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # Tests run small programs a few times, so that the compiler's optimisations cost more than they bring: without them the
 # suite takes two thirds of the time. Processes that a test starts inherit it; the wheel's test trains as users do.
