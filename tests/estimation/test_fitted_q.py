@@ -89,8 +89,8 @@ def gaussian(dataset: Dataset, mean: float, log_std: float) -> Policy:
     )
 
 
-@pytest.mark.parametrize(("ends", "discount"), [(False, 1.0), (True, 1.0), (True, 0.8)])
-def test_fitted_q_finds_the_known_value(ends: bool, discount: float):
+@pytest.mark.parametrize("ends", [False, True])
+def test_fitted_q_finds_the_known_values_of_two_policies_at_two_discounts(ends: bool):
     # Each row ten times, of which three end or none does: what is known of the chance is known of the log too.
     dataset, copies = gliding(300, False), 10
     ended = np.tile(np.arange(copies) < (3 if ends else 0), len(dataset))
@@ -100,20 +100,25 @@ def test_fitted_q_finds_the_known_value(ends: bool, discount: float):
         np.repeat(dataset.rewards, copies),
         ended,
         np.repeat(dataset.next_observations, copies, axis=0),
-        np.full((copies * len(dataset), 1, 1), ACTION, np.float32),
         np.repeat(np.arange(300), copies * dataset.episode_lengths()),
     )
     settings = dataclasses.replace(SMALL, batch_size=512).fitting()
-    found = fit_q(rows, 300, HORIZON, discount, jr.key(1), members=4, progress=lambda done, total: None, **settings)
+    policies = np.stack([np.full((len(rows.rewards), 1, 1), action, np.float32) for action in (ACTION, -ACTION)])
+    discounts = (1.0, 0.8)
+    both = fit_q(
+        rows, policies, 300, HORIZON, discounts, jr.key(1), members=4, progress=lambda done, total: None, **settings
+    )
     states = np.array([[-0.5], [0.5]], np.float32)
-    actions = np.full((2, 1, 1), ACTION, np.float32)
-    values, lengths = found.values(states, actions, np.array([HORIZON, HORIZON])).mean(axis=1)
-    known = known_value(states[:, 0], ended.mean(), discount)
-    np.testing.assert_allclose(values, known, atol=0.1)
-    stays = discount * (1.0 - ended.mean())
-    np.testing.assert_allclose(lengths, sum(stays**t for t in range(HORIZON)), atol=0.08)
-    last = found.values(states, actions, np.array([1, 1])).mean(axis=1)[0]
-    np.testing.assert_allclose(last, [ACTION - 0.5, ACTION + 0.5], atol=0.08)
+    for found, action in zip(both, (ACTION, -ACTION), strict=True):
+        actions = np.full((2, 1, 1), action, np.float32)
+        reached = found.values(states, actions, np.array([HORIZON, HORIZON])).mean(axis=2)
+        for (values, lengths), discount in zip(reached, discounts, strict=True):
+            known = known_value(states[:, 0], ended.mean(), discount, action)
+            np.testing.assert_allclose(values, known, atol=0.1)
+            stays = discount * (1.0 - ended.mean())
+            np.testing.assert_allclose(lengths, sum(stays**t for t in range(HORIZON)), atol=0.08)
+        last = found.values(states, actions, np.array([1, 1])).mean(axis=2)[:, 0]
+        np.testing.assert_allclose(last, [[action - 0.5, action + 0.5]] * 2, atol=0.08)
 
 
 def test_a_deterministic_policy_is_judged_by_fitted_q_alone_and_named():
@@ -121,13 +126,16 @@ def test_a_deterministic_policy_is_judged_by_fitted_q_alone_and_named():
     policy = constant(dataset)
     calls = []
     found = estimate(policy, dataset, settings=SMALL, progress=lambda done, total: calls.append((done, total)))
-    assert calls[-1] == (4_500, 4_500) and calls == sorted(calls)
+    assert calls[-1] == (3_000, 3_000) and calls == sorted(calls)
     fqe = found["fqe"]
     assert fqe.verdict == "better" and fqe.value is not None and fqe.difference is not None
     starts = dataset.observations[dataset.episode_starts, 0]
     truth = known_value(starts, float(dataset.terminated.mean())).mean()
     assert fqe.value.low < truth < fqe.value.high
     np.testing.assert_allclose(fqe.value.value, truth, atol=0.25)
+    assert fqe.calibrated is not None
+    assert fqe.calibrated.low < truth < fqe.calibrated.high
+    np.testing.assert_allclose(fqe.calibrated.value, found.behaviour.value + fqe.difference.value)
     np.testing.assert_allclose(found.behaviour.value, dataset.episode_returns().mean())
     for name in ("wis", "pdis", "dr"):
         assert found[name].verdict == "refused" and found[name].value is None

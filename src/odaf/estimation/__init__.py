@@ -1,7 +1,17 @@
 """What a policy is worth, told from a log that it did not learn from, without a simulator."""
 
-from odaf.estimation.estimate import ESTIMATORS, Method, estimate
+from odaf.estimation.estimate import ESTIMATORS, Method, estimate, estimate_many
 from odaf.estimation.settings import Acting, EstimateSettings
 from odaf.estimation.valuation import Interval, Valuation, ValueEstimate
 
-__all__ = ["ESTIMATORS", "Acting", "EstimateSettings", "Interval", "Method", "Valuation", "ValueEstimate", "estimate"]
+__all__ = [
+    "ESTIMATORS",
+    "Acting",
+    "EstimateSettings",
+    "Interval",
+    "Method",
+    "Valuation",
+    "ValueEstimate",
+    "estimate",
+    "estimate_many",
+]

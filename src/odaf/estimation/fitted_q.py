@@ -3,17 +3,23 @@
     Q(s, a, h) = n_h q(s, a, h),     n_h = sum_{k < h} gamma^k
     L = mean_B sum ( q(s, a, h) - y / n_h )^2,     y = (r, 1) + gamma (1 - d) Q'(s', a', h - 1),   a' ~ pi(.|s')
 
-(Le et al. 2019; Q' is a slow copy.) h is the number of steps that are left, drawn anew for every row from 1 to H, so
-that undiscounted sums up to a horizon are as well defined as discounted ones; Q(., ., 0) = 0. The network gives a mean
-by step: its targets have the size of a reward whatever h is. It sees h / H and 1 / n_h, the weight of the reward in y.
-It has two outputs, one for rewards, which are shifted to mean 0 and scaled to spread 1 beforehand, and one for rewards
-that are all 1: the steps that an episode lasts. With both, the shift is taken back exactly where episodes end, and a
-value by step is known. A true end cuts the sum, a time-out does not.
+(Le et al. 2019; Q' is a slow copy.) Several policies are evaluated in one program: P times M networks, one batched
+product, of which M belong to each policy. They differ in the actions of a' alone. Several discounts share networks,
+each with outputs of its own.
 
-Every member of the ensemble learns from episodes drawn with replacement, and its value is that of their first states:
-the spread of the members is a standard error over episodes. All steps are taken: an error on episodes held out would
-have to be a Bellman error, whose square counts the chance in what follows as error too, so that where episodes end by
-chance the fit which promises least looks best.
+h is the number of steps that are left, drawn anew for every row from 1 to H, so that undiscounted sums up to a horizon
+are as well defined as discounted ones; Q(., ., 0) = 0. The network gives a mean by step: its targets have the size of a
+reward whatever h is. It sees h / H and 1 / n_h, the weight of the reward in y. It has two outputs a discount, one for
+rewards, which are shifted to mean 0 and scaled to spread 1 beforehand, and one for rewards that are all 1: the steps
+that an episode lasts. With both, the shift is taken back exactly where episodes end, and a value by step is known. A
+true end cuts the sum, a time-out does not.
+
+Every member of an ensemble learns from episodes drawn with replacement, and its value is that of their first states:
+the spread of the members is a standard error over episodes. The m-th members of all policies learn from the same
+episodes, so that the chance in these cancels where two policies are compared.
+
+All steps are taken: an error on episodes held out would have to be a Bellman error, whose square counts the chance in
+what follows as error too, so that where episodes end by chance the fit which promises least looks best.
 """
 
 from dataclasses import dataclass
@@ -34,50 +40,53 @@ STRETCH = 1_000
 
 
 class FiniteHorizonQ(eqx.Module):
-    """q of every member, and what belongs to it."""
+    """q of every network, policy after policy, and what belongs to it."""
 
     networks: MLP
-    sums: Float[Array, " lengths"]  # n_h for h from 0 to H
-    discount: Float[Array, ""]
-    low: Float[Array, " outputs"]  # the range that rewards allow for q
-    high: Float[Array, " outputs"]
+    next_actions: Float[Array, "policies _logged _draws _act"]  # none once it is fitted
+    sums: Float[Array, "discounts _lengths"]  # n_h for h from 0 to H
+    discounts: Float[Array, " discounts"]
+    low: Float[Array, " 2"]  # the range that rewards, and ones, allow for q
+    high: Float[Array, " 2"]
 
     @property
     def horizon(self) -> int:
         """H."""
-        return self.sums.shape[0] - 1
+        return self.sums.shape[1] - 1
 
     def means(
         self,
         observations: Float[Array, "*m rows obs"],
         actions: Float[Array, "*m rows act"],
         steps: Int[Array, "*m rows"],
-    ) -> Float[Array, "members rows outputs"]:
-        """q(s, a, h) of every member."""
+    ) -> Float[Array, "nets rows discounts 2"]:
+        """q(s, a, h) of every network."""
         left = steps.astype(jnp.float32) / self.horizon
-        share = 1.0 / jnp.maximum(self.sums[steps], 1.0)
-        return self.networks(jnp.concatenate([observations, actions, left[..., None], share[..., None]], axis=-1))
+        share = jnp.moveaxis(1.0 / jnp.maximum(self.sums[:, steps], 1.0), 0, -1)
+        found = self.networks(jnp.concatenate([observations, actions, left[..., None], share], axis=-1))
+        return found.reshape(*found.shape[:2], -1, 2)
 
     def targets(
         self,
         slow: "FiniteHorizonQ",
-        rewards: Float[Array, "members rows"],
-        terminated: Float[Array, "members rows"],
-        next_observations: Float[Array, "members rows obs"],
-        next_actions: Float[Array, "members rows act"],
-        steps: Int[Array, "members rows"],
-    ) -> Float[Array, "members rows outputs"]:
+        rewards: Float[Array, "nets rows"],
+        terminated: Float[Array, "nets rows"],
+        next_observations: Float[Array, "nets rows obs"],
+        next_actions: Float[Array, "nets rows act"],
+        steps: Int[Array, "nets rows"],
+    ) -> Float[Array, "nets rows discounts 2"]:
         """y / n_h."""
-        found = jnp.clip(
-            slow.means(next_observations, next_actions, steps - 1), self.low[None, None], self.high[None, None]
-        )
-        later = (self.discount * (1.0 - terminated) * self.sums[steps - 1])[..., None] * found
-        return (jnp.stack([rewards, jnp.ones_like(rewards)], axis=-1) + later) / self.sums[steps][..., None]
+        found = slow.means(next_observations, next_actions, steps - 1)
+        found = jnp.clip(found, self.low[None, None, None], self.high[None, None, None])
+        before, now = (jnp.moveaxis(self.sums[:, each], 0, -1)[..., None] for each in (steps - 1, steps))
+        goes_on = self.discounts[None, None, :, None] * (1.0 - terminated)[..., None, None]
+        earned = jnp.stack([rewards, jnp.ones_like(rewards)], axis=-1)[:, :, None]
+        return (earned + goes_on * before * found) / now
 
 
 @dataclass(frozen=True, eq=False)
 class Transitions:
-    """Rows that Q is fitted to, as NumPy arrays in the policy's normalised units.
+    """Rows that Q is fitted to, as NumPy arrays in normalised units.
 
     Attributes:
         observations: [rows, obs_dim].
@@ -85,7 +94,6 @@ class Transitions:
         rewards: [rows], in the log's unit.
         terminated: [rows].
         next_observations: [rows, obs_dim].
-        next_actions: [rows, draws, act_dim], of the policy at the successor.
         episodes: [rows], number of each row's episode.
     """
 
@@ -94,12 +102,7 @@ class Transitions:
     rewards: np.ndarray
     terminated: np.ndarray
     next_observations: np.ndarray
-    next_actions: np.ndarray
     episodes: np.ndarray
-
-    def at(self, rows: np.ndarray) -> "Transitions":
-        """Some of the rows."""
-        return Transitions(**{name: column[rows] for name, column in vars(self).items()})
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,11 +110,11 @@ class FittedQ:
     """An evaluated policy.
 
     Attributes:
-        model: the ensemble.
+        model: its ensemble.
         shift: mean of the rewards, in their unit.
         scale: their spread.
         counts: [members, E], how often each member drew an episode.
-        loss: L of one member at the end, in squared spreads of the reward.
+        loss: L of one network at the end, in squared spreads of the reward.
     """
 
     model: FiniteHorizonQ
@@ -129,22 +132,23 @@ class FittedQ:
             steps: [rows], those that are left.
 
         Returns:
-            [2, members, rows] float64.
+            [discounts, 2, members, rows] float64.
         """
         total = 0.0
         for draw in range(actions.shape[1]):
             columns = (jnp.asarray(observations), jnp.asarray(actions[:, draw]), jnp.asarray(steps, jnp.int32))
             total = total + of_rows(_means, self.model, columns).astype(np.float64)
-        means = np.moveaxis(np.asarray(total) / actions.shape[1], (0, 1, 2), (2, 1, 0))  # rows, members, outputs
-        sums = np.asarray(self.model.sums, np.float64)[steps]
-        return sums * np.stack([self.scale * means[0] + self.shift * means[1], means[1]])
+        means = np.moveaxis(np.asarray(total) / actions.shape[1], (0, 1, 2, 3), (3, 2, 0, 1))
+        sums = np.asarray(self.model.sums, np.float64)[:, None, None, steps]
+        return sums * np.stack([self.scale * means[:, 0] + self.shift * means[:, 1], means[:, 1]], axis=1)
 
 
 def fit_q(
     rows: Transitions,
+    next_actions: np.ndarray,
     episodes: int,
     horizon: int,
-    discount: float,
+    discounts: tuple[float, ...],
     key: PRNGKeyArray,
     *,
     members: int,
@@ -153,21 +157,25 @@ def fit_q(
     batch_size: int,
     learning_rate: float,
     progress: Progress,
-) -> FittedQ:
-    """Evaluate the policy whose next actions the rows hold.
+) -> list[FittedQ]:
+    """Evaluate policies in one compiled program.
 
     Args:
         rows: what to learn from.
+        next_actions: [policies, rows, draws, act_dim], of each policy at the successor.
         episodes: E, in the log.
         horizon: H.
-        discount: gamma; 1 for plain sums.
+        discounts: gamma; 1 for plain sums.
         key: random key for networks, batches and resampled episodes.
-        members: of the ensemble.
+        members: M, networks of each policy.
         hidden_sizes: widths of the hidden layers.
-        steps: gradient steps at most.
-        batch_size: rows a step and member.
-        learning_rate: step size of Adam.
+        steps: gradient steps.
+        batch_size: rows a step and network.
+        learning_rate: step size of Adam at the start; it falls to zero.
         progress: called with (steps done, steps in all).
+
+    Returns:
+        One for each policy, in order.
 
     Raises:
         DivergenceError: the loss stopped being finite.
@@ -182,19 +190,20 @@ def fit_q(
     columns = tuple(
         jnp.asarray(column)
         for column in (
+            np.arange(len(scaled), dtype=np.int32),
             rows.observations,
             rows.actions,
             scaled,
             rows.terminated.astype(np.float32),
             rows.next_observations,
-            rows.next_actions,
         )
     )
-    inputs = rows.observations.shape[1] + rows.actions.shape[1] + 2
+    policies, inputs = len(next_actions), rows.observations.shape[1] + rows.actions.shape[1] + 1 + len(discounts)
     model = FiniteHorizonQ(
-        init_mlp(key_init, (inputs, *hidden_sizes, 2), members=members, hidden_bias=0.0),
-        jnp.asarray(discounted_steps(horizon, discount), jnp.float32),
-        jnp.asarray(discount, jnp.float32),
+        init_mlp(key_init, (inputs, *hidden_sizes, 2 * len(discounts)), members=policies * members, hidden_bias=0.0),
+        jnp.asarray(next_actions, jnp.float32),
+        jnp.asarray([discounted_steps(horizon, discount) for discount in discounts], jnp.float32),
+        jnp.asarray(discounts, jnp.float32),
         jnp.asarray([min(float(scaled.min()), 0.0), 0.0], jnp.float32),
         jnp.asarray([max(float(scaled.max()), 0.0), 1.0], jnp.float32),
     )
@@ -203,8 +212,8 @@ def fit_q(
         model,
         _loss,
         columns,
-        bootstraps=jnp.asarray(table, jnp.int32),
-        members=members,
+        bootstraps=jnp.asarray(np.tile(table, policies), jnp.int32),
+        members=policies * members,
         trainable=eqx.tree_at(lambda tree: tree.networks, nothing, jax.tree.map(lambda _: True, model.networks)),
         slow_rate=SLOW_RATE,
         steps=steps,
@@ -217,7 +226,17 @@ def fit_q(
         what="fitted Q evaluation",
         remedy="lower learning_rate, or check the log for outliers with `odaf data check`",
     )
-    return FittedQ(fitted.model, shift, scale, counts, fitted.means["loss"] / members)
+    loss = fitted.means["loss"] / (policies * members)
+    small = eqx.tree_at(lambda tree: tree.next_actions, fitted.model, fitted.model.next_actions[:, :0])
+    return [
+        FittedQ(_of_networks(small, policy * members, members), shift, scale, counts, loss)
+        for policy in range(policies)
+    ]
+
+
+def _of_networks(model: FiniteHorizonQ, first: int, members: int) -> FiniteHorizonQ:
+    own = jax.tree.map(lambda leaf: leaf[first : first + members], model.networks)
+    return eqx.tree_at(lambda tree: tree.networks, model, own)
 
 
 def _resampled_rows(
@@ -237,15 +256,17 @@ def _resampled_rows(
 def _loss(
     model: FiniteHorizonQ, batch: Batch, key: PRNGKeyArray, slow: FiniteHorizonQ
 ) -> tuple[Float[Array, ""], dict[str, Float[Array, ""]]]:
-    observations, actions, rewards, terminated, next_observations, next_actions = batch
+    numbers, observations, actions, rewards, terminated, next_observations = batch
     key_steps, key_draw = jr.split(key)
     steps = jr.randint(key_steps, rewards.shape, 1, model.horizon + 1)
-    draw = jr.randint(key_draw, rewards.shape, 0, next_actions.shape[2])
-    chosen = jnp.take_along_axis(next_actions, draw[..., None, None], axis=2)[:, :, 0]
+    policies, _, draws, _ = model.next_actions.shape
+    policy = jnp.arange(len(rewards)) // (len(rewards) // policies)
+    draw = jr.randint(key_draw, rewards.shape, 0, draws)
+    chosen = model.next_actions[policy[:, None], numbers, draw]
     targets = model.targets(slow, rewards, terminated, next_observations, chosen, steps)
     errors = jnp.square(model.means(observations, actions, steps) - jax.lax.stop_gradient(targets))
     return jnp.sum(jnp.mean(errors, axis=1)), {}
 
 
-def _means(model: FiniteHorizonQ, batch: Batch) -> Float[Array, "rows members outputs"]:
+def _means(model: FiniteHorizonQ, batch: Batch) -> Float[Array, "rows members discounts 2"]:
     return jnp.swapaxes(model.means(*batch), 0, 1)

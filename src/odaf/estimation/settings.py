@@ -14,11 +14,11 @@ class EstimateSettings:
 
     members: int = 8
     """Networks of fitted Q, each with resampled episodes of its own."""
-    hidden_sizes: tuple[int, ...] = (256, 256)
+    hidden_sizes: tuple[int, ...] = (128, 128)
     """Widths of their hidden layers, and of the behaviour density's."""
     steps: int = 20_000
     """Gradient steps of each fit; that of the density may stop earlier."""
-    batch_size: int = 256
+    batch_size: int = 128
     """Rows a gradient step (and a member)."""
     learning_rate: float = 3e-4
     """Step size of Adam."""

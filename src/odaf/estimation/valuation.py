@@ -57,10 +57,12 @@ class ValueEstimate:
         method: its name.
         value: of an episode up to the horizon, in the log's unit of reward; None where the estimator was refused.
         per_step: the same divided by the steps that an episode lasts.
-        difference: from the behaviour's own value, of an episode.
+        difference: from the behaviour's value, of an episode; the same estimator's, where it has one.
         verdict: whether the policy is better than what was logged; "refused" where the log cannot tell.
         reason: why it was refused, else an empty text.
         effective_episodes: of importance weights; None for estimators without.
+        calibrated: the behaviour's own value and the difference from the same estimator's value of the behaviour; None
+            for estimators that are not calibrated.
         figures: further numbers, by name.
     """
 
@@ -71,6 +73,7 @@ class ValueEstimate:
     verdict: Verdict
     reason: str = ""
     effective_episodes: float | None = None
+    calibrated: Interval | None = None
     figures: Mapping[str, float] = dataclasses.field(default_factory=dict)
 
 
@@ -113,14 +116,16 @@ class Valuation:
         return plain(dataclasses.asdict(self))
 
     def __str__(self) -> str:
-        rows = [["behaviour", str(self.behaviour), str(self.behaviour_per_step), "-", "-", "the log itself"]]
+        rows = [["behaviour", str(self.behaviour), "-", str(self.behaviour_per_step), "-", "-", "the log itself"]]
         for each in self.estimates:
-            cells = ["-" if each_ is None else str(each_) for each_ in (each.value, each.per_step, each.difference)]
+            columns = each.value, each.calibrated, each.per_step, each.difference
+            cells = ["-" if column is None else str(column) for column in columns]
             effective = "-" if each.effective_episodes is None else f"{each.effective_episodes:,.1f}"
             rows.append([each.method, *cells, effective, each.verdict])
         header = [
             "estimator",
             "value of an episode",
+            "calibrated",
             "by step",
             "beside the behaviour",
             "effective episodes",

@@ -1,7 +1,7 @@
 """Picture files for READMEs and result pages; the report draws the same things on its page."""
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -188,6 +188,44 @@ def attack_figure(curve: AttackCurve, out: Path, name: str) -> Path:
     axes.set_xlabel("largest offset of an observation, in standard deviations of the log", fontsize=8)
     axes.set_ylabel("mean return" if reference is None else f"normalised score, {curve.environment}", fontsize=8)
     axes.set_title(fitted(f"{name} under {curve.attack}", 72 * 5.4, 12), fontsize=12, parse_math=False)
+    return _write(figure, out)
+
+
+def estimates_figure(
+    panels: Mapping[str, tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]], out: Path, title: str
+) -> Path:
+    """Writes a PNG of estimates with their intervals over true values, a panel each; on the line both are equal.
+
+    Args:
+        panels: by heading, true values, estimates, and the lower and upper ends of their intervals.
+        out: the file to write; its folder is made when missing.
+        title: written above the panels.
+
+    Returns:
+        `out`.
+
+    Raises:
+        ConfigError: the `report` extra is not installed.
+    """
+    check_extra()
+    from matplotlib.figure import Figure
+
+    from odaf.report import drawing
+
+    palette = drawing.LIGHT
+    figure = Figure(figsize=(3.2 * len(panels), 3.3), layout="constrained", facecolor="white")
+    for place, (heading, (truth, values, low, high)) in enumerate(panels.items()):
+        axes = figure.add_subplot(1, len(panels), place + 1)
+        drawing.style_axes(axes, palette, "both")
+        axes.axline((float(truth.min()), float(truth.min())), slope=1.0, color=palette.muted, linewidth=0.8)
+        reach = np.nan_to_num(np.stack([values - low, high - values]))
+        axes.errorbar(
+            truth, values, yerr=reach, fmt="o", markersize=3.5, linewidth=0.8, color=palette.method(0), alpha=0.7
+        )
+        axes.set_title(heading, fontsize=10, color=palette.ink, parse_math=False)
+        axes.set_xlabel("true value", fontsize=8)
+        axes.set_ylabel("estimate" if place == 0 else "", fontsize=8)
+    figure.suptitle(title, fontsize=11, parse_math=False)
     return _write(figure, out)
 
 

@@ -1,5 +1,6 @@
 """The studies by name; one more is one more entry."""
 
+from odaf.studies.estimates import STUDY as ESTIMATES
 from odaf.studies.generators import STUDY as GENERATORS
 from odaf.studies.job import Study
 from odaf.studies.locomotion import STUDY as LOCOMOTION
@@ -7,4 +8,6 @@ from odaf.studies.outcome import STUDY as OUTCOME
 from odaf.studies.pointmaze import STUDY as POINTMAZE
 from odaf.studies.rivals import STUDY as RIVALS
 
-STUDIES: dict[str, Study] = {study.name: study for study in (POINTMAZE, OUTCOME, LOCOMOTION, RIVALS, GENERATORS)}
+STUDIES: dict[str, Study] = {
+    study.name: study for study in (POINTMAZE, OUTCOME, LOCOMOTION, RIVALS, GENERATORS, ESTIMATES)
+}
