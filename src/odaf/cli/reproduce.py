@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 # Of the minutes: the rest is for scores with more episodes, and for what is not trained in lanes.
 _SHARE_OF_LANES = 0.75
+# Names of missing records that a listing writes out.
+_NAMED = 20
 
 
 @dataclasses.dataclass(frozen=True)
@@ -179,7 +181,8 @@ def _list_one(study: "Study", options: ReproduceOptions) -> None:
     _print(rows, stale(standings))
     missing = [standing.job.name for standing in standings if standing.state == "missing"]
     if missing:
-        print(f"\nmissing, in the order in which they would be measured: {', '.join(missing)}")
+        more = f", and {len(missing) - _NAMED:,} more" if len(missing) > _NAMED else ""
+        print(f"\nmissing, in the order in which they would be measured: {', '.join(missing[:_NAMED])}{more}")
 
 
 def _print(rows: Sequence["Holding"], stale_records: Sequence[str]) -> None:

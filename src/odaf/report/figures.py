@@ -229,6 +229,55 @@ def estimates_figure(
     return _write(figure, out)
 
 
+def grid_figure(
+    rows: Sequence[str], columns: Sequence[str], values: np.ndarray, out: Path, title: str, note: str
+) -> Path:
+    """Writes a PNG of a table of scores in which a high one is dark; a cell without a finite one stays empty.
+
+    Args:
+        rows: their names.
+        columns: their names.
+        values: normalised scores, of shape (rows, columns).
+        out: the file to write; its folder is made when missing.
+        title: written above.
+        note: written below in small print.
+
+    Returns:
+        `out`.
+
+    Raises:
+        ConfigError: the `report` extra is not installed.
+    """
+    check_extra()
+    from matplotlib.figure import Figure
+
+    from odaf.report import drawing
+    from odaf.report.lettering import fitted
+
+    palette = drawing.LIGHT
+    figure = Figure(
+        figsize=(2.2 + 0.75 * len(columns), 1.9 + 0.27 * len(rows)), layout="constrained", facecolor="white"
+    )
+    axes = figure.add_subplot()
+    shades = axes.imshow(values, cmap="Blues", vmin=0.0, vmax=120.0, aspect="auto")
+    for row, column in np.argwhere(np.isfinite(values)):
+        score = values[row, column]
+        colour = palette.surface if score > 70.0 else palette.ink
+        axes.text(column, row, f"{score:.0f}", ha="center", va="center", fontsize=8, color=colour)
+    axes.set_xticks(range(len(columns)), labels=columns, rotation=35, ha="right", fontsize=8)
+    axes.set_yticks(range(len(rows)), labels=rows, fontsize=8)
+    for text in (*axes.get_xticklabels(), *axes.get_yticklabels()):
+        text.set_parse_math(False)
+        text.set_color(palette.ink)
+    axes.tick_params(length=0)
+    axes.spines[:].set_visible(False)
+    figure.colorbar(shades, ax=axes, shrink=0.8).ax.tick_params(labelsize=7)
+    axes.set_title(title, fontsize=11, color=palette.ink, parse_math=False)
+    room = 72 * (figure.get_figwidth() - 0.3)
+    figure.supxlabel(fitted(note, room, 7.5), fontsize=7.5, color=palette.muted, parse_math=False)
+    return _write(figure, out)
+
+
 def run_curves(run_directories: Sequence[Path]) -> tuple[list[Curve], list[tuple[str, float]]]:
     """Return curves of runs, and the logged best and mean as reference lines, for `learning_curves_figure`."""
     check_extra()

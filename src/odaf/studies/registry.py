@@ -7,7 +7,8 @@ from odaf.studies.locomotion import STUDY as LOCOMOTION
 from odaf.studies.outcome import STUDY as OUTCOME
 from odaf.studies.pointmaze import STUDY as POINTMAZE
 from odaf.studies.rivals import STUDY as RIVALS
+from odaf.studies.scoreboard import STUDY as SCOREBOARD
 
 STUDIES: dict[str, Study] = {
-    study.name: study for study in (POINTMAZE, OUTCOME, LOCOMOTION, RIVALS, GENERATORS, ESTIMATES)
+    study.name: study for study in (POINTMAZE, OUTCOME, LOCOMOTION, RIVALS, SCOREBOARD, GENERATORS, ESTIMATES)
 }
