@@ -19,6 +19,7 @@ from benchmarks import learners, operations, parts, updates_per_second  # noqa: 
 
 SCRIPTS = {
     "acting": ["--rounds", "2", "--calls", "2"],
+    "deployed": ["--rounds", "2", "--calls", "2"],
     "load_dataset": ["--rows", "3000"],
     "import_table": ["--rows", "3000"],
     "first_update": ["--rows", "3000", "--learners", "sac-n", "--updates", "2"],

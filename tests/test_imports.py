@@ -24,6 +24,7 @@ ORDER = (
     "runs",
     "report",
     "estimation",
+    "deployment",
     "behaviour",
     "studies",
     "cli",

@@ -37,6 +37,7 @@ _HOME_OF = {
     "compare": "odaf.report.comparison",
     "estimate": "odaf.estimation",
     "evaluate": "odaf.runs.evaluate",
+    "export": "odaf.deployment",
     "fit": "odaf.runs.fit",
     "fit_many": "odaf.runs.many",
     "load_run": "odaf.runs.fit",
@@ -52,6 +53,7 @@ _ROOMS = (
     "behaviour",
     "components",
     "data",
+    "deployment",
     "environments",
     "estimation",
     "evaluation",
@@ -66,6 +68,7 @@ if TYPE_CHECKING:
     from odaf import behaviour as behaviour
     from odaf import components as components
     from odaf import data as data
+    from odaf import deployment as deployment
     from odaf import environments as environments
     from odaf import estimation as estimation
     from odaf import evaluation as evaluation
@@ -88,6 +91,7 @@ if TYPE_CHECKING:
         ValueSmoothing,
     )
     from odaf.data import Dataset
+    from odaf.deployment import export
     from odaf.errors import CheckpointError, ConfigError, DatasetError, DivergenceError, OdafError
     from odaf.estimation import estimate
     from odaf.evaluation import Policy, Rollouts, Run, rollout
@@ -127,6 +131,7 @@ __all__ = [
     "compare",
     "estimate",
     "evaluate",
+    "export",
     "fit",
     "fit_many",
     "load_run",

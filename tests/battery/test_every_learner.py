@@ -20,6 +20,7 @@ from odaf.algorithms.registry import ALGORITHMS, TERMS
 from odaf.cli.options import field_help, settings_of
 from odaf.data.normalisation import Normaliser
 from odaf.data.sampling import WeightedColumns, training_column_shapes, training_columns
+from odaf.deployment import odaf_policy
 from odaf.errors import ConfigError
 from odaf.training import loop
 from odaf.training.monitors import DivergenceMonitor
@@ -143,6 +144,22 @@ def test_a_run_resumes_to_the_bit_and_its_policy_is_saved_and_loaded(kind, tmp_p
     seen = dataset.observations[:5]
     np.testing.assert_array_equal(loaded(seen), policy(seen))
     assert np.all(policy(seen) >= dataset.action_low) and np.all(policy(seen) <= dataset.action_high)
+
+
+@each_learner
+def test_a_policy_is_exported_and_its_form_for_numpy_alone_acts_as_it_does(kind, tmp_path):
+    learner, dataset = learners.of_kind(kind), _log()
+    low, high = (tuple(end.tolist()) for end in (dataset.action_low, dataset.action_high))
+    normaliser = Normaliser.fit(dataset.observations, learner.view().normaliser_epsilon)
+    policy = odaf.Policy(learner.actor(_trained(kind)[0]), normaliser, low, high, dataset.observation_names)
+    artefact = odaf.export(policy, tmp_path / "out", forms=["numpy"])  # compares them on inputs of all kinds
+    checked = artefact.contract["checked"]["policy.safetensors"]
+    assert checked["steps"] == 320 and checked["largest_difference"] < 1e-5 and checked["left_to_rounding"] < 32
+    carried = odaf_policy.Policy(tmp_path / "out" / "policy.safetensors")
+    rows = dataset.observations[:3]
+    for row, action in zip(rows, policy(rows), strict=True):
+        found = carried.act(row)
+        assert found is not None and np.abs(found - action).max() < 3e-5, "half a range is 3"
 
 
 @each_learner

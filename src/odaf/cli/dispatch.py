@@ -62,6 +62,7 @@ COMMANDS = (
     Command("resume", "DIR", "go on with a run exactly where it stopped", "odaf.cli.resume"),
     Command("evaluate", "DIR", "play episodes with the policies of a run", "odaf.cli.evaluate"),
     Command("estimate", "RUN --data HOLDOUT", "say from a log alone what a policy is worth", "odaf.cli.estimate"),
+    Command("export", "RUN --out DIR", "write a policy for ONNX, C and NumPy alone", "odaf.cli.export"),
     Command("report", "DIR... --out FILE", "draw one page that compares runs", "odaf.cli.report"),
     Command("compare", "DIR...", "say whether one run is better, and how sure", "odaf.cli.compare"),
     Command("cite", "METHOD...", "print the papers of a method", "odaf.cli.cite"),

@@ -13,6 +13,7 @@ from odaf.algorithms.config import to_dict
 from odaf.data import fingerprint
 from odaf.data.dataset import Dataset
 from odaf.data.normalisation import Normaliser
+from odaf.data.ranges import ranges
 from odaf.data.writing import TEMPORARY_PREFIX
 from odaf.errors import ConfigError
 from odaf.training import lock
@@ -117,6 +118,7 @@ def data_record(
         **data_place(path, directory),
         **fingerprint.record(dataset),
         "summary": dataset.summary(),
+        "ranges": ranges(dataset),
         "spec": dataset.spec().to_dict(),
         "normaliser": normaliser.to_dict(),
         "environment": dataset.environment,
