@@ -13,7 +13,7 @@ from odaf.studies.cost import Costs
 from odaf.studies.executor import Here
 from odaf.studies.job import Job, Study
 from odaf.studies.ledger import Ledger
-from odaf.studies.news import Display
+from odaf.studies.news import Display, JobReport
 from odaf.studies.perform import perform
 from studies.test_ledger import TextLog
 from studies.toy import job, study
@@ -137,10 +137,26 @@ def test_time_left_is_judged_by_this_machine(monkeypatch: pytest.MonkeyPatch) ->
     display.begin(2, 5, {"a": 100.0, "b": 300.0}, 1, None)
     assert said.getvalue() == "toy: 2 of 5 records to go, about 7 min of one core\n"
     now = 40.0
-    display.receive(("a", "share", "500 of 1,000 updates", 0.5))  # half of it in 40 seconds: 7 times as much is left
+    display.receive(("a", "share", "500 of 1,000 updates", 0.5))
+    # A tenth is believed: 50 + 40 by estimate took 40 + 40 seconds, so 350 take 311.
     assert said.getvalue().endswith("toy: a 500 of 1,000 updates; 5 min left\n")
     now = 60.0
     display.finished("a", "12.3 +- 4.5")
-    assert said.getvalue().endswith("[1/2] a: 12.3 +- 4.5; 3 min left\n")
+    assert said.getvalue().endswith("[1/2] a: 12.3 +- 4.5; 4 min left\n")  # 300 * (60 + 40) / (100 + 40)
     display.finished("b", "1.0")
     assert said.getvalue().endswith("[2/2] b: 1.0\n")
+
+
+def test_a_slow_model_before_the_updates_says_how_far_it_is_and_does_not_make_hours_into_days(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    now, said = 0.0, io.StringIO()
+    monkeypatch.setattr("odaf.studies.news.time.monotonic", lambda: now)
+    display = Display("toy", said)
+    display.begin(1, 1, {"a": 4_000.0}, 1, None)
+    report = JobReport("a", display.receive)
+    report.start("seed 0: behaviour model", 1_000, unit="steps")
+    now = 2_000.0
+    report.advance(700)
+    # Nothing of 4,000 by estimate is done after 2,000 seconds: (2,000 + 400) / 400 times as slow, not without end.
+    assert said.getvalue().endswith("toy: a seed 0: behaviour model 700 of 1,000; 6.7 h left\n")

@@ -10,6 +10,9 @@ from odaf.studies.cost import minutes
 
 _SECONDS_BETWEEN_NEWS = 0.5
 _SECONDS_BETWEEN_LINES = 30.0
+# The estimates weigh as much as if this share of the whole had been done at their pace: what this machine takes longer
+# shows from the first minutes, and a job that begins with a slow model does not make hours into days.
+_BELIEVED = 0.1
 
 News = tuple[str, str, str, float]  # job, "share" or "message", text, done share of what was left when it began
 
@@ -42,9 +45,10 @@ class JobReport:
 
     def _say(self, done: int) -> None:
         self._told = time.monotonic()
-        # Only the training proper says how much of a job is done; the stages before it are short.
+        # Only the training proper says how much of a job is done; a model before it may take longer than that or no time.
         counts = self._total > 0 and self._unit == "updates" and self._stage.endswith("training")
-        text = f"{done:,} of {self._total:,} {self._unit}" if counts else self._stage
+        far = f"{done:,} of {self._total:,}"
+        text = f"{far} {self._unit}" if counts else f"{self._stage} {far}" if self._total > 0 else self._stage
         share = (done - self._first) / max(1, self._total - self._first) if counts else 0.0
         self._tell((self._job, "share", text, share))
 
@@ -138,10 +142,8 @@ class Display:
         worth, whole, passed = self._worth(), sum(self._estimates.values()), time.monotonic() - self._began
         if len(self._done) == len(self._estimates):
             return ""
-        if worth <= 0.01 * whole or not passed:  # nothing to judge this machine by yet
-            seconds = (whole - worth) / self._width
-        else:
-            seconds = (whole - worth) * passed / worth
+        believed = _BELIEVED * whole
+        seconds = (whole - worth) * (passed + believed / self._width) / max(worth + believed, 1e-9)
         if self._until is not None:
             seconds = min(seconds, max(0.0, self._until - time.monotonic()))
         return f"; {minutes(seconds)} left"
