@@ -241,10 +241,10 @@ def test_the_word_none_stands_for_no_value_where_there_may_be_none():
 @pytest.mark.parametrize(
     ("setting", "value", "message"),
     [
-        ("learning_rate", -1e-3, "learning_rate=-0.001 of behaviour-cloning must not be negative"),
-        ("learning_rate", math.nan, "learning_rate=nan of behaviour-cloning must be a finite number"),
-        ("normaliser_epsilon", math.inf, "normaliser_epsilon=inf of behaviour-cloning must be a finite number"),
-        ("hidden_sizes", (8, 0), r"hidden_sizes=\(8, 0\) of behaviour-cloning must hold widths of at least 1"),
+        ("learning_rate", -1e-3, "learning_rate=-0.001 must not be negative"),
+        ("learning_rate", math.nan, "learning_rate=nan must be a finite number"),
+        ("normaliser_epsilon", math.inf, "normaliser_epsilon=inf must be a finite number"),
+        ("hidden_sizes", (8, 0), r"hidden_sizes=\(8, 0\) must hold widths of at least 1"),
         ("batch_size", 0, "batch_size=0 must be at least 1"),
         ("actor_kind", "squashed", "actor_kind='squashed' is not of the expected kind: 'deterministic' | 'gaussian'"),
     ],
@@ -256,7 +256,7 @@ def test_settings_that_no_learner_can_have_are_refused_where_a_learner_is_made_o
 
 def test_rates_of_terms_and_models_are_looked_at_too():
     learner = EnsembleSAC(terms=(OutcomePenalty(dynamics=DynamicsConfig(learning_rate=-1.0)),))
-    with pytest.raises(ConfigError, match="learning_rate=-1.0 of outcome.dynamics must not be negative"):
+    with pytest.raises(ConfigError, match="outcome.dynamics.learning_rate=-1.0 must not be negative"):
         config.checked(learner)
 
 

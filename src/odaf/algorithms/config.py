@@ -109,10 +109,10 @@ def _term(fields: Any, source: str) -> Term:
             f"{source}: name={name!r} is not a term; known: {', '.join(TERMS)}. One of your own becomes known by "
             "odaf.register(...) in Python, or by an entry point 'odaf.terms' of the package that offers it"
         )
-    return _build(TERMS[name], fields, source, name)
+    return _build(TERMS[name], fields, source, name, f"{name}.")
 
 
-def _build(cls: Any, fields: Mapping[str, Any], source: str, where: str) -> Any:
+def _build(cls: Any, fields: Mapping[str, Any], source: str, where: str, path: str = "") -> Any:
     hints = get_type_hints(cls)
     known = [field.name for field in dataclasses.fields(cls)]
     values = {}
@@ -121,20 +121,20 @@ def _build(cls: Any, fields: Mapping[str, Any], source: str, where: str) -> Any:
             raise ConfigError(f"{source}: {where} has no field {name!r}; known: {', '.join(known)}")
         hint = hints[name]
         if dataclasses.is_dataclass(hint) and isinstance(value, Mapping):
-            value = _build(hint, value, source, f"{where}.{name}")
+            value = _build(hint, value, source, f"{where}.{name}", f"{path}{name}.")
         values[name] = value if name == "terms" else _checked(value, hint, source, f"{where}.{name}")
-        _possible(name, values[name], where)
+        _possible(f"{path}{name}", values[name])
     return cls(**values)
 
 
-def _possible(name: str, value: Any, where: str) -> None:
+def _possible(name: str, value: Any) -> None:
     """Refuses what no learner can do: what holds for every setting of a kind, and so stands in none of them."""
     if isinstance(value, float) and not math.isfinite(value):
-        raise ConfigError(f"{name}={value!r} of {where} must be a finite number; where no limit is meant, a large one")
+        raise ConfigError(f"{name}={value!r} must be a finite number; where no limit is meant, a large one")
     if isinstance(value, float) and name.endswith("learning_rate") and value < 0.0:
-        raise ConfigError(f"{name}={value!r} of {where} must not be negative: losses would be climbed, not descended")
+        raise ConfigError(f"{name}={value!r} must not be negative: losses would be climbed, not descended")
     if isinstance(value, tuple) and name.endswith("hidden_sizes") and any(width < 1 for width in value):
-        raise ConfigError(f"{name}={value!r} of {where} must hold widths of at least 1")
+        raise ConfigError(f"{name}={value!r} must hold widths of at least 1")
 
 
 def _checked(value: Any, hint: Any, source: str, where: str) -> Any:

@@ -45,7 +45,7 @@ class JobReport:
 
     def _say(self, done: int) -> None:
         self._told = time.monotonic()
-        # Only the training proper says how much of a job is done; a model before it may take longer than that or no time.
+        # Only the training proper says how much of a job is done; a model before it may take longer, or no time.
         counts = self._total > 0 and self._unit == "updates" and self._stage.endswith("training")
         far = f"{done:,} of {self._total:,}"
         text = f"{far} {self._unit}" if counts else f"{self._stage} {far}" if self._total > 0 else self._stage
