@@ -39,6 +39,7 @@ _HOME_OF = {
     "evaluate": "odaf.runs.evaluate",
     "export": "odaf.deployment",
     "fit": "odaf.runs.fit",
+    "guard": "odaf.deployment",
     "fit_many": "odaf.runs.many",
     "load_run": "odaf.runs.fit",
     "preset": "odaf.runs.methods",
@@ -91,7 +92,7 @@ if TYPE_CHECKING:
         ValueSmoothing,
     )
     from odaf.data import Dataset
-    from odaf.deployment import export
+    from odaf.deployment import export, guard
     from odaf.errors import CheckpointError, ConfigError, DatasetError, DivergenceError, OdafError
     from odaf.estimation import estimate
     from odaf.evaluation import Policy, Rollouts, Run, rollout
@@ -134,6 +135,7 @@ __all__ = [
     "export",
     "fit",
     "fit_many",
+    "guard",
     "load_run",
     "preset",
     "register",

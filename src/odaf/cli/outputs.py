@@ -80,6 +80,21 @@ def _is_json_with(*fields: str) -> Callable[[Path], bool]:
     return earlier
 
 
+def _is_tensors_of(form: str) -> Callable[[Path], bool]:
+    """Whether a file in the layout of safetensors says that it is of this form."""
+
+    def earlier(path: Path) -> bool:
+        with open(path, "rb") as file:
+            length = int.from_bytes(file.read(8), "little")
+            text = file.read(min(length, 100_000_000))
+        try:
+            return json.loads(text)["__metadata__"]["format"] == form
+        except (ValueError, RecursionError, LookupError, TypeError):
+            return False
+
+    return earlier
+
+
 DATASET = Kind("an odaf data set", _is_dataset)
 D4RL = Kind("a D4RL file that odaf wrote", _is_d4rl_of_ours)
 MINARI = Kind("a Minari folder", lambda path: (path / "data" / "metadata.json").is_file(), folder=True)
@@ -98,6 +113,8 @@ ARTEFACT = Kind(
     lambda path: (path / "contract.json").is_file() and _is_json_with("odaf", "not_promised")(path / "contract.json"),
     folder=True,
 )
+GUARD = Kind("a guarded policy that odaf wrote", _is_tensors_of("odaf-guard"))
+GUARD_RECORD = Kind("a record of `odaf guard`", _is_json_with("calibration", "levels"), streams=True)
 ATTACK_SCORES = Kind("scores of `odaf evaluate --attack`", _is_json_with("attack", "budgets"), streams=True)
 
 

@@ -16,6 +16,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from odaf.components.critics import CriticEnsemble
+from odaf.components.cvae import CVAE
+from odaf.components.dynamics.cvae import CVAEDynamics
+from odaf.components.dynamics.deterministic import DeterministicDynamics
+from odaf.components.dynamics.gaussian_ensemble import GaussianEnsembleDynamics
 from odaf.components.networks import MLP
 from odaf.components.policies import (
     DeterministicActor,
@@ -30,7 +34,11 @@ from odaf.errors import ConfigError
 
 KINDS: dict[str, type[eqx.Module]] = {
     "critics": CriticEnsemble,
+    "cvae": CVAE,
+    "cvae-dynamics": CVAEDynamics,
     "deterministic": DeterministicActor,
+    "deterministic-dynamics": DeterministicDynamics,
+    "ensemble-dynamics": GaussianEnsembleDynamics,
     "exact-gaussian": ExactGaussianActor,
     "gaussian": GaussianActor,
     "mlp": MLP,

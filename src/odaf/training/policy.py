@@ -167,7 +167,7 @@ class Policy:
                 step for which there was no action.
             DivergenceError: as for a call.
         """
-        rows = self._rows(observation)
+        rows = self.rows_of(observation)
         batch = rows[None] if rows.ndim == 1 else rows
         episodes = {np.shape(leaf)[:1] for leaf in jax.tree.leaves(carry)}
         if self.has_memory and episodes != {(len(batch),)}:
@@ -214,6 +214,37 @@ class Policy:
         if isinstance(carry, Carry):
             return carry._replace(actor=self.actor.observe(carry.actor, earned))
         return self.actor.observe(carry, earned)
+
+    def rows_of(self, observation: Observation) -> np.ndarray:
+        """What a call is given, as numbers [obs_dim] or [rows, obs_dim] in order; with a derivation, of readings.
+
+        Raises:
+            DatasetError: an observation has the wrong size, or a name is missing or unknown. Values are not judged.
+        """
+        # Arrays first: to ask whether something is a mapping takes longer than everything else here.
+        names = self.reading_names
+        # Formulas are computed in double precision, from the digits that the log had.
+        kind = np.float32 if self.derivation is None else np.float64
+        if not isinstance(observation, np.ndarray) and isinstance(observation, Mapping):
+            observation = _by_name("observation", observation, names, kind)
+        try:
+            rows = np.asarray(observation, kind)
+        except (TypeError, ValueError) as error:
+            raise DatasetError(
+                f"observation: holds something else than numbers ({error}); give {', '.join(names)}"
+            ) from error
+        if rows.ndim not in (1, 2) or rows.shape[-1] != len(names):
+            computed = ""
+            if self.derivation is not None:
+                computed = (
+                    f"; these are the readings, of which it computes its {self.obs_dim} observations. For observations "
+                    "that are computed already use policy.without_derivation()"
+                )
+            raise DatasetError(
+                f"observation: has shape {rows.shape}, but this policy takes [{len(names)}] or "
+                f"[rows, {len(names)}] in the order {', '.join(names)}{computed}"
+            )
+        return rows
 
     # ---- files --------------------------------------------------------------------------------------------------
 
@@ -288,32 +319,6 @@ class Policy:
     @cached_property
     def _step(self) -> Callable[..., tuple[Array, PyTree]]:
         return _compiled_step(jax.tree.structure(self.actor), self.action_low, self.action_high)
-
-    def _rows(self, observation: Observation) -> np.ndarray:
-        # Arrays first: to ask whether something is a mapping takes longer than everything else here.
-        names = self.reading_names
-        # Formulas are computed in double precision, from the digits that the log had.
-        kind = np.float32 if self.derivation is None else np.float64
-        if not isinstance(observation, np.ndarray) and isinstance(observation, Mapping):
-            observation = _by_name("observation", observation, names, kind)
-        try:
-            rows = np.asarray(observation, kind)
-        except (TypeError, ValueError) as error:
-            raise DatasetError(
-                f"observation: holds something else than numbers ({error}); give {', '.join(names)}"
-            ) from error
-        if rows.ndim not in (1, 2) or rows.shape[-1] != len(names):
-            computed = ""
-            if self.derivation is not None:
-                computed = (
-                    f"; these are the readings, of which it computes its {self.obs_dim} observations. For observations "
-                    "that are computed already use policy.without_derivation()"
-                )
-            raise DatasetError(
-                f"observation: has shape {rows.shape}, but this policy takes [{len(names)}] or "
-                f"[rows, {len(names)}] in the order {', '.join(names)}{computed}"
-            )
-        return rows
 
     def _finite(self, actions: np.ndarray, rows: np.ndarray) -> np.ndarray:
         """The actions, unless one is not a finite number: then what the cause is."""

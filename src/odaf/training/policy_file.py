@@ -14,7 +14,7 @@ the order of their names) and "policy":
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -44,6 +44,66 @@ def write_policy(path: Path, fields: Mapping[str, Any]) -> None:
         ConfigError: the actor is made of modules that cannot be stored.
         CheckpointError: the file cannot be written.
     """
+    write_document(path, FORMAT, VERSION, "policy", *packed_policy(fields))
+
+
+def read_policy(path: Path) -> dict[str, Any]:
+    """The fields of a `Policy`; its actor acts with the bits that it had when it was written.
+
+    Raises:
+        CheckpointError: the file is missing, damaged, of another kind or version, or contradicts itself.
+    """
+    content, arrays = read_document(path, FORMAT, VERSION, "policy", _SECTIONS, ("derivation",))
+    return unpacked_policy(path, content, arrays)
+
+
+def write_document(
+    path: Path, form: str, version: str, name: str, content: Mapping[str, Any], arrays: Mapping[str, np.ndarray]
+) -> None:
+    """Writes plain data under `name` in the metadata, and arrays, with what tells a file of this form from others.
+
+    Raises:
+        CheckpointError: the file cannot be written.
+    """
+    text = json.dumps(content, separators=(",", ":"), allow_nan=False)
+    metadata = {
+        "format": form,
+        "version": version,
+        "odaf": odaf.__version__,
+        "sha256": _digest(text, arrays),
+        name: text,
+    }
+    write_tensors(path, dict(sorted(arrays.items())), metadata)
+
+
+def read_document(
+    path: Path, form: str, version: str, name: str, sections: Sequence[str], optional: Sequence[str] = ()
+) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """Inverse of `write_document`; the data must have these sections, and may have the optional ones.
+
+    Raises:
+        CheckpointError: the file is missing, damaged, or of another kind or version.
+    """
+    arrays, metadata = read_tensors(path)
+    if metadata.get("format") != form:
+        _refuse(path, f"format: expected {form!r}, found {metadata.get('format')!r}; it holds arrays, but no {name}")
+    if metadata.get("version") != version:
+        _refuse(path, f"version: expected {version!r}, found {metadata.get('version')!r}; another odaf wrote it")
+    text = metadata.get(name, "")
+    content = parsed(path, name, text)
+    if set(content) - set(optional) != set(sections):
+        _refuse(path, f"{name}: expected {', '.join(sections)}, found {sorted(content)}")
+    if metadata.get("sha256") != _digest(text, arrays):
+        _refuse(path, "sha256: the content was changed after it was written")
+    return content, arrays
+
+
+def packed_policy(fields: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """The fields of a `Policy` as plain data, and its arrays, whose names begin with "actor".
+
+    Raises:
+        ConfigError: the actor is made of modules that cannot be stored.
+    """
     structure, arrays = pack(fields["actor"], "actor")
     content = {
         "actor": structure,
@@ -59,34 +119,17 @@ def write_policy(path: Path, fields: Mapping[str, Any]) -> None:
     }
     if fields["derivation"] is not None:
         content["derivation"] = {"recipes": fields["derivation"].recipes()}
-    text = json.dumps(content, separators=(",", ":"), allow_nan=False)
-    metadata = {
-        "format": FORMAT,
-        "version": VERSION,
-        "odaf": odaf.__version__,
-        "sha256": _digest(text, arrays),
-        "policy": text,
-    }
-    write_tensors(path, dict(sorted(arrays.items())), metadata)
+    return content, arrays
 
 
-def read_policy(path: Path) -> dict[str, Any]:
-    """The fields of a `Policy`; its actor acts with the bits that it had when it was written.
+def unpacked_policy(path: Path, content: dict[str, Any], arrays: Mapping[str, np.ndarray]) -> dict[str, Any]:
+    """Inverse of `packed_policy`; `path` names the file in messages.
 
     Raises:
-        CheckpointError: the file is missing, damaged, of another kind or version, or contradicts itself.
+        CheckpointError: the content contradicts itself.
     """
-    arrays, metadata = read_tensors(path)
-    if metadata.get("format") != FORMAT:
-        _refuse(path, f"format: expected {FORMAT!r}, found {metadata.get('format')!r}; it holds arrays, but no policy")
-    if metadata.get("version") != VERSION:
-        _refuse(path, f"version: expected {VERSION!r}, found {metadata.get('version')!r}; another odaf wrote it")
-    text = metadata.get("policy", "")
-    content = parsed(path, "policy", text)
     if set(content) - {"derivation"} != set(_SECTIONS):
         _refuse(path, f"policy: expected {', '.join(_SECTIONS)}, found {sorted(content)}")
-    if metadata.get("sha256") != _digest(text, arrays):
-        _refuse(path, "sha256: the content was changed after it was written")
     try:
         normaliser = Normaliser.from_dict(content["normaliser"])
     except Exception as error:  # whatever it makes of strange content
