@@ -46,6 +46,7 @@ _HOME_OF = {
     "register": "odaf.algorithms.registry",
     "resume": "odaf.runs.fit",
     "rollout": "odaf.evaluation",
+    "select": "odaf.estimation",
 }
 
 # The rooms themselves, so that `odaf.environments.make` works after `import odaf`.
@@ -94,7 +95,7 @@ if TYPE_CHECKING:
     from odaf.data import Dataset
     from odaf.deployment import export, guard
     from odaf.errors import CheckpointError, ConfigError, DatasetError, DivergenceError, OdafError
-    from odaf.estimation import estimate
+    from odaf.estimation import estimate, select
     from odaf.evaluation import Policy, Rollouts, Run, rollout
     from odaf.report.comparison import compare
     from odaf.runs.evaluate import evaluate
@@ -141,6 +142,7 @@ __all__ = [
     "register",
     "resume",
     "rollout",
+    "select",
 ]
 
 

@@ -8,85 +8,12 @@ import jax.random as jr
 import numpy as np
 import pytest
 
-from odaf.components.networks import init_mlp
-from odaf.components.policies import DeterministicActor, GaussianActor
-from odaf.data import Dataset
-from odaf.data.normalisation import Normaliser
+from estimation.grounds import ACTION, HORIZON, SMALL, constant, gaussian, gliding, known_value
 from odaf.errors import ConfigError, DatasetError
-from odaf.estimation import EstimateSettings, estimate
+from odaf.estimation import estimate, fitted_q
+from odaf.estimation.evidence import Evidence
 from odaf.estimation.fitted_q import Transitions, fit_q
-from odaf.training.policy import Policy
-
-SMALL = EstimateSettings(
-    members=4, hidden_sizes=(32, 32), steps=1_500, batch_size=64, learning_rate=2e-3, resamples=200
-)
-HORIZON, CHANCE, ACTION = 5, 0.3, 0.4
-
-
-def gliding(episodes: int, ends: bool, seed: int = 0, scale: float = 1.0) -> Dataset:
-    """s' = 0.7 s + 0.3 a, reward s + a for uniform actions; where told, an end with probability 0.3 a step."""
-    rng = np.random.default_rng(seed)
-    columns: dict[str, list[float]] = {"s": [], "a": [], "r": [], "n": [], "d": [], "t": []}
-    for _ in range(episodes):
-        state = float(rng.uniform(-1, 1))
-        for step in range(HORIZON):
-            action = float(rng.uniform(-1, 1))
-            ended = bool(ends and rng.random() < CHANCE)
-            last = step == HORIZON - 1 and not ended
-            following = 0.7 * state + 0.3 * action
-            row = (state, action, scale * (state + action), following, ended, last)
-            for name, value in zip("sarndt", row, strict=True):
-                columns[name].append(value)
-            if ended:
-                break
-            state = following
-    s, a, r, n, d, t = (np.array(columns[name]) for name in "sarndt")
-    uniform = np.full(len(s), np.log(0.5))
-    return Dataset.from_arrays(
-        s[:, None],
-        a[:, None],
-        r,
-        n[:, None],
-        d.astype(bool),
-        t.astype(bool),
-        action_bounds=(-1.0, 1.0),
-        infos={"logp": uniform.astype(np.float32)},
-    )
-
-
-def known_value(states: np.ndarray, ends: float, discount: float = 1.0, action: float = ACTION) -> np.ndarray:
-    """Expected sum to the horizon of a policy whose actions have this mean, where a step ends with this chance."""
-    stays, total, states = 1.0, np.zeros(len(states)), states.astype(np.float64)
-    for _ in range(HORIZON):
-        total = total + stays * (states + action)
-        states, stays = 0.7 * states + 0.3 * action, stays * discount * (1.0 - ends)
-    return total
-
-
-def constant(dataset: Dataset, action: float = ACTION) -> Policy:
-    """Takes one action everywhere."""
-    network = init_mlp(jr.key(0), (1, 4, 1))
-    silent = dataclasses.replace(
-        network,
-        weights=(network.weights[0], jnp.zeros_like(network.weights[1])),
-        biases=(network.biases[0], jnp.full((1,), np.arctanh(action), jnp.float32)),
-    )
-    return Policy(
-        DeterministicActor(silent), Normaliser.fit(dataset.observations), (-1.0,), (1.0,), dataset.observation_names
-    )
-
-
-def gaussian(dataset: Dataset, mean: float, log_std: float) -> Policy:
-    """tanh of one Gaussian everywhere."""
-    network = init_mlp(jr.key(0), (1, 4, 2))
-    silent = dataclasses.replace(
-        network,
-        weights=(network.weights[0], jnp.zeros_like(network.weights[1])),
-        biases=(network.biases[0], jnp.asarray([mean, log_std], jnp.float32)),
-    )
-    return Policy(
-        GaussianActor(silent), Normaliser.fit(dataset.observations), (-1.0,), (1.0,), dataset.observation_names
-    )
+from odaf.estimation.recorded import resampled_rows
 
 
 @pytest.mark.parametrize("ends", [False, True])
@@ -100,13 +27,14 @@ def test_fitted_q_finds_the_known_values_of_two_policies_at_two_discounts(ends: 
         np.repeat(dataset.rewards, copies),
         ended,
         np.repeat(dataset.next_observations, copies, axis=0),
-        np.repeat(np.arange(300), copies * dataset.episode_lengths()),
     )
+    episodes = np.repeat(np.arange(300), copies * dataset.episode_lengths())
+    table, _ = resampled_rows(episodes, 300, 4, np.random.default_rng(0))
     settings = dataclasses.replace(SMALL, batch_size=512).fitting()
     policies = np.stack([np.full((len(rows.rewards), 1, 1), action, np.float32) for action in (ACTION, -ACTION)])
     discounts = (1.0, 0.8)
     both = fit_q(
-        rows, policies, 300, HORIZON, discounts, jr.key(1), members=4, progress=lambda done, total: None, **settings
+        rows, policies, table, HORIZON, discounts, jr.key(1), members=4, progress=lambda done, total: None, **settings
     )
     states = np.array([[-0.5], [0.5]], np.float32)
     for found, action in zip(both, (ACTION, -ACTION), strict=True):
@@ -126,7 +54,7 @@ def test_a_deterministic_policy_is_judged_by_fitted_q_alone_and_named():
     policy = constant(dataset)
     calls = []
     found = estimate(policy, dataset, settings=SMALL, progress=lambda done, total: calls.append((done, total)))
-    assert calls[-1] == (3_000, 3_000) and calls == sorted(calls)
+    assert calls[-1] == (4_500, 4_500) and calls == sorted(calls)
     fqe = found["fqe"]
     assert fqe.verdict == "better" and fqe.value is not None and fqe.difference is not None
     starts = dataset.observations[dataset.episode_starts, 0]
@@ -144,6 +72,34 @@ def test_a_deterministic_policy_is_judged_by_fitted_q_alone_and_named():
         estimate(policy, dataset, method="wis", settings=SMALL)
     assert "DeterministicActor" in str(found) and "better" in str(found)
     assert json.loads(json.dumps(found.to_dict(), allow_nan=False))["estimates"][0]["verdict"] == "better"
+
+
+def test_early_stopping_ends_fitted_q_by_an_error_on_episodes_that_no_member_learns_from(
+    monkeypatch: pytest.MonkeyPatch,
+):
+    monkeypatch.setattr(fitted_q, "STRETCH", 20)
+    dataset = gliding(40, ends=True)
+    settings = dataclasses.replace(SMALL, steps=400, learning_rate=0.05, patience=1, early_stopping=True)
+    log = Evidence(dataset, HORIZON, (1.0,), settings, jr.key(0))
+    aside = np.unique(log.episode[log.held_out])
+    assert len(aside) == 4 and not log.member_counts[:, aside].any()
+    assert not np.isin(log.member_rows, log.held_out).any()
+    made: list[int] = []
+    fit_q(
+        log.rows(),
+        np.full((1, len(dataset), 1, 1), ACTION, np.float32),
+        log.member_rows,
+        HORIZON,
+        (1.0,),
+        jr.key(0),
+        members=settings.members,
+        progress=lambda done, total: made.append(done),
+        held_out=log.held_out,
+        patience=1,
+        **settings.fitting(),
+    )
+    assert made[-1] < 400
+    assert estimate(constant(dataset), dataset, method="fqe", settings=settings)["fqe"].value is not None
 
 
 def test_estimates_scale_with_the_unit_of_the_reward():

@@ -64,6 +64,7 @@ COMMANDS = (
     Command("estimate", "RUN --data HOLDOUT", "say from a log alone what a policy is worth", "odaf.cli.estimate"),
     Command("export", "RUN --out DIR", "write a policy for ONNX, C and NumPy alone", "odaf.cli.export"),
     Command("guard", "RUN --data HOLDOUT", "let a policy say when it is out of its depth", "odaf.cli.guard"),
+    Command("select", "RUN... --data HOLDOUT", "choose a run and a checkpoint from a log alone", "odaf.cli.select"),
     Command("report", "DIR... --out FILE", "draw one page that compares runs", "odaf.cli.report"),
     Command("compare", "DIR...", "say whether one run is better, and how sure", "odaf.cli.compare"),
     Command("cite", "METHOD...", "print the papers of a method", "odaf.cli.cite"),

@@ -20,16 +20,17 @@ class EstimateOptions:
     must be one that the policy did not learn from: set episodes aside with `odaf data split` before training. Each
     estimator says better, worse or not decided, and refuses where the log cannot tell, with the reason.
 
-    fqe fits what the policy's actions are worth, step by step, and asks for no density. wis (whole episodes), pdis (per
-    decision) and dr (doubly robust) weigh logged episodes by how much more probable the policy makes their actions;
-    they need --acting draws and policies that have a density, and long episodes leave them few effective ones.
+    fqe fits what the policy's actions are worth, step by step; model plays the policy in a fitted model of the plant;
+    blend is the mean of both, calibrated by what the log earned. These ask for no density. wis (whole episodes), pdis
+    (per decision) and dr (doubly robust) weigh logged episodes by how much more probable the policy makes their
+    actions; they need --acting draws and policies that have a density, and long episodes leave them few effective ones.
     """
 
     run: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RUN")]
     """What `odaf train --out` named, or the file of a policy."""
     data: Annotated[Path, tyro.conf.arg(metavar="HOLDOUT")]
     """Data set that the policy did not learn from, as `odaf data split --holdout` writes it."""
-    method: Literal["fqe", "wis", "pdis", "dr", "all"] = "all"
+    method: Literal["fqe", "model", "blend", "wis", "pdis", "dr", "all"] = "all"
     """Estimator to ask."""
     acting: Literal["mode", "draws"] = "mode"
     """Actions to judge: `mode`, those that a deployed policy takes, or `draws`, a stochastic policy that draws them."""
@@ -50,7 +51,7 @@ class EstimateOptions:
     steps: int = 20_000
     """Gradient steps of each fit; that of the behaviour's density may stop earlier."""
     members: int = 8
-    """Networks of fitted Q, each with resampled episodes of its own."""
+    """Networks of fitted Q and of the model, each with resampled episodes of its own."""
     json: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """File to write every number to."""
     force: bool = False

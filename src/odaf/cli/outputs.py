@@ -115,6 +115,7 @@ ARTEFACT = Kind(
 )
 GUARD = Kind("a guarded policy that odaf wrote", _is_tensors_of("odaf-guard"))
 GUARD_RECORD = Kind("a record of `odaf guard`", _is_json_with("calibration", "levels"), streams=True)
+SELECTION = Kind("a choice of `odaf select`", _is_json_with("best_run", "candidates"), streams=True)
 ATTACK_SCORES = Kind("scores of `odaf evaluate --attack`", _is_json_with("attack", "budgets"), streams=True)
 
 

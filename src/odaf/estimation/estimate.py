@@ -11,9 +11,10 @@ import jax.random as jr
 from odaf.components.fitting import Progress
 from odaf.data.dataset import Dataset
 from odaf.errors import ConfigError
-from odaf.estimation.beside import WEIGHING, Beside
+from odaf.estimation.beside import Beside
 from odaf.estimation.compatibility import require_fit, why_unweighed
 from odaf.estimation.evidence import Evidence
+from odaf.estimation.of_policy import WEIGHING
 from odaf.estimation.recorded import check_horizon, shown_horizon
 from odaf.estimation.settings import Acting, EstimateSettings
 from odaf.estimation.valuation import Valuation
@@ -21,10 +22,12 @@ from odaf.training.policy import Policy
 from odaf.training.run_directory import RunDirectory
 from odaf.training.settings import products_in
 
-Method = Literal["fqe", "wis", "pdis", "dr", "all"]
+Method = Literal["fqe", "model", "blend", "wis", "pdis", "dr", "all"]
 ACTING = get_args(Acting)
 ESTIMATORS: dict[str, str] = {
     "fqe": "fitted Q evaluation",
+    "model": "rollouts of a fitted model",
+    "blend": "the mean of both, calibrated",
     "wis": "weighted importance sampling of whole episodes",
     "pdis": "weighted per-decision importance sampling",
     "dr": "weighted doubly robust",

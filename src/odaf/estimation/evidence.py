@@ -11,9 +11,9 @@ from odaf.components.fitting import Batch, Progress, of_rows
 from odaf.components.policies import Actor
 from odaf.data.dataset import Dataset
 from odaf.data.normalisation import Normaliser, scale_actions
-from odaf.estimation.density import BehaviourDensity, fit_density
+from odaf.estimation.density import HOLDOUT, BehaviourDensity, fit_density
 from odaf.estimation.fitted_q import Transitions
-from odaf.estimation.recorded import Recorded, resampled, rows_within
+from odaf.estimation.recorded import Recorded, resampled, resampled_rows, rows_within
 from odaf.estimation.settings import EstimateSettings
 
 
@@ -48,6 +48,14 @@ class Evidence:
         self.within = rows_within(dataset, horizon)
         rng = np.random.default_rng(np.asarray(jr.bits(key, (4,))))
         self.counts = resampled(dataset.num_episodes, settings.resamples, rng)
+        self.held_out = np.zeros(0, np.int64)  # rows
+        learnt = np.arange(len(dataset))
+        if settings.early_stopping:
+            order = rng.permutation(dataset.num_episodes)
+            aside = np.isin(self.episode, order[: max(round(HOLDOUT * dataset.num_episodes), 1)])
+            self.held_out, learnt = np.flatnonzero(aside), np.flatnonzero(~aside)
+        table, self.member_counts = resampled_rows(self.episode[learnt], dataset.num_episodes, settings.members, rng)
+        self.member_rows = learnt[table]
         self.own = [recorded.values(self.counts) for recorded in self.recorded]
 
     @property
@@ -68,12 +76,11 @@ class Evidence:
             self.dataset.rewards.astype(np.float64),
             self.dataset.terminated,
             self.next_observations,
-            self.episode,
         )
 
-    def own_of(self, place: int, counts: np.ndarray) -> np.ndarray:
-        """At the discount of this place, what the log earned: [1 + resamples], first as it is, then resampled."""
-        whole = np.concatenate([np.ones((1, len(counts[0]))), counts])
+    def own_of_members(self, place: int) -> np.ndarray:
+        """What the log earned at the discount of this place: [1 + members], as it is, then by member."""
+        whole = np.concatenate([np.ones((1, self.dataset.num_episodes)), self.member_counts])
         return self.recorded[place].values(whole)[0]
 
     def fitted_density(self, key: PRNGKeyArray, progress: Progress) -> BehaviourDensity:

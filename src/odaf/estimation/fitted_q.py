@@ -18,8 +18,8 @@ Every member of an ensemble learns from episodes drawn with replacement, and its
 the spread of the members is a standard error over episodes. The m-th members of all policies learn from the same
 episodes, so that the chance in these cancels where two policies are compared.
 
-All steps are taken: an error on episodes held out would have to be a Bellman error, whose square counts the chance in
-what follows as error too, so that where episodes end by chance the fit which promises least looks best.
+All steps are taken unless rows are held out. An error on these has to be a Bellman error, whose square counts the
+chance in what follows as error too; docs/reference/estimates.md says what stopping by it did where values are known.
 """
 
 from dataclasses import dataclass
@@ -31,12 +31,14 @@ import jax.random as jr
 import numpy as np
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
-from odaf.components.fitting import Batch, Progress, fit, of_rows
+from odaf.components.fitting import Batch, EarlyStopping, Progress, fit, of_rows
 from odaf.components.networks import MLP, init_mlp
 from odaf.estimation.recorded import discounted_steps
 
 SLOW_RATE = 0.02
 STRETCH = 1_000
+ODD = 7_919  # spreads numbers of steps over rows
+MOST_HELD_OUT = 4_096  # rows
 
 
 class FiniteHorizonQ(eqx.Module):
@@ -94,7 +96,6 @@ class Transitions:
         rewards: [rows], in the log's unit.
         terminated: [rows].
         next_observations: [rows, obs_dim].
-        episodes: [rows], number of each row's episode.
     """
 
     observations: np.ndarray
@@ -102,7 +103,6 @@ class Transitions:
     rewards: np.ndarray
     terminated: np.ndarray
     next_observations: np.ndarray
-    episodes: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,14 +113,12 @@ class FittedQ:
         model: its ensemble.
         shift: mean of the rewards, in their unit.
         scale: their spread.
-        counts: [members, E], how often each member drew an episode.
         loss: L of one network at the end, in squared spreads of the reward.
     """
 
     model: FiniteHorizonQ
     shift: float
     scale: float
-    counts: np.ndarray
     loss: float
 
     def values(self, observations: np.ndarray, actions: np.ndarray, steps: np.ndarray) -> np.ndarray:
@@ -146,7 +144,7 @@ class FittedQ:
 def fit_q(
     rows: Transitions,
     next_actions: np.ndarray,
-    episodes: int,
+    member_rows: np.ndarray,
     horizon: int,
     discounts: tuple[float, ...],
     key: PRNGKeyArray,
@@ -157,22 +155,27 @@ def fit_q(
     batch_size: int,
     learning_rate: float,
     progress: Progress,
+    held_out: np.ndarray | None = None,
+    patience: int = 1,
 ) -> list[FittedQ]:
     """Evaluate policies in one compiled program.
 
     Args:
         rows: what to learn from.
         next_actions: [policies, rows, draws, act_dim], of each policy at the successor.
-        episodes: E, in the log.
+        member_rows: [members * rows], the rows that the m-th network of every policy learns from, as of
+            `recorded.resampled_rows`.
         horizon: H.
         discounts: gamma; 1 for plain sums.
-        key: random key for networks, batches and resampled episodes.
+        key: random key for networks and batches.
         members: M, networks of each policy.
         hidden_sizes: widths of the hidden layers.
         steps: gradient steps.
         batch_size: rows a step and network.
         learning_rate: step size of Adam at the start; it falls to zero.
         progress: called with (steps done, steps in all).
+        held_out: numbers of rows to measure a Bellman error on, by which fitting stops; none takes all steps.
+        patience: checks of that error, one every 1,000 steps, without a new lowest one that end the fit.
 
     Returns:
         One for each policy, in order.
@@ -180,13 +183,11 @@ def fit_q(
     Raises:
         DivergenceError: the loss stopped being finite.
     """
-    key_host, key_init, key_fit = jr.split(key, 3)
-    rng = np.random.default_rng(np.asarray(jr.bits(key_host, (4,))))
+    key_init, key_fit = jr.split(key)
     shift = float(np.mean(rows.rewards, dtype=np.float64))
     scale = float(np.std(rows.rewards, dtype=np.float64)) or max(abs(shift), 1.0)
     scaled = ((rows.rewards - shift) / scale).astype(np.float32)
 
-    table, counts = _resampled_rows(rows.episodes, episodes, members, rng)
     columns = tuple(
         jnp.asarray(column)
         for column in (
@@ -198,6 +199,10 @@ def fit_q(
             rows.next_observations,
         )
     )
+    aside, stopping = np.zeros(0, np.int64) if held_out is None else held_out[:MOST_HELD_OUT], None
+    if len(aside):
+        stopping = EarlyStopping(_bellman_error, len(scaled), len(scaled) + len(aside), patience)
+        columns = tuple(jnp.concatenate([column, column[aside]]) for column in columns)
     policies, inputs = len(next_actions), rows.observations.shape[1] + rows.actions.shape[1] + 1 + len(discounts)
     model = FiniteHorizonQ(
         init_mlp(key_init, (inputs, *hidden_sizes, 2 * len(discounts)), members=policies * members, hidden_bias=0.0),
@@ -212,7 +217,8 @@ def fit_q(
         model,
         _loss,
         columns,
-        bootstraps=jnp.asarray(np.tile(table, policies), jnp.int32),
+        rows=len(member_rows) // members,
+        bootstraps=jnp.asarray(np.tile(member_rows, policies), jnp.int32),
         members=policies * members,
         trainable=eqx.tree_at(lambda tree: tree.networks, nothing, jax.tree.map(lambda _: True, model.networks)),
         slow_rate=SLOW_RATE,
@@ -221,6 +227,7 @@ def fit_q(
         learning_rate=learning_rate,
         stretch=min(steps, STRETCH),
         schedule="cosine",
+        stopping=stopping,
         key=key_fit,
         progress=progress,
         what="fitted Q evaluation",
@@ -228,29 +235,12 @@ def fit_q(
     )
     loss = fitted.means["loss"] / (policies * members)
     small = eqx.tree_at(lambda tree: tree.next_actions, fitted.model, fitted.model.next_actions[:, :0])
-    return [
-        FittedQ(_of_networks(small, policy * members, members), shift, scale, counts, loss)
-        for policy in range(policies)
-    ]
+    return [FittedQ(_of_networks(small, policy * members, members), shift, scale, loss) for policy in range(policies)]
 
 
 def _of_networks(model: FiniteHorizonQ, first: int, members: int) -> FiniteHorizonQ:
     own = jax.tree.map(lambda leaf: leaf[first : first + members], model.networks)
     return eqx.tree_at(lambda tree: tree.networks, model, own)
-
-
-def _resampled_rows(
-    episode_of_row: np.ndarray, episodes: int, members: int, rng: np.random.Generator
-) -> tuple[np.ndarray, np.ndarray]:
-    """For every member as many rows as there are, of episodes drawn with replacement; and how often each was drawn."""
-    there, starts, lengths = np.unique(episode_of_row, return_index=True, return_counts=True)
-    table, counts = [], np.zeros((members, episodes))
-    for member in range(members):
-        drawn = rng.integers(0, len(there), len(there))
-        np.add.at(counts[member], there[drawn], 1.0)
-        rows = np.concatenate([np.arange(int(lengths[each])) + starts[each] for each in drawn])
-        table.append(np.resize(rng.permutation(rows), len(episode_of_row)))  # no chance but that of the episodes
-    return np.concatenate(table), counts
 
 
 def _loss(
@@ -266,6 +256,20 @@ def _loss(
     targets = model.targets(slow, rewards, terminated, next_observations, chosen, steps)
     errors = jnp.square(model.means(observations, actions, steps) - jax.lax.stop_gradient(targets))
     return jnp.sum(jnp.mean(errors, axis=1)), {}
+
+
+def _bellman_error(model: FiniteHorizonQ, batch: Batch) -> Float[Array, " rows"]:
+    """Mean over networks and outputs, each row with a number of steps of its own."""
+    numbers, observations, actions, rewards, terminated, next_observations = batch
+    nets, policies = model.networks.weights[0].shape[0], model.next_actions.shape[0]
+    chosen = jnp.repeat(model.next_actions[:, numbers, 0], nets // policies, axis=0)
+    steps = 1 + numbers * ODD % model.horizon
+    rewards, terminated, next_observations, steps, observations, actions = (
+        jnp.broadcast_to(column[None], (nets, *column.shape))
+        for column in (rewards, terminated, next_observations, steps, observations, actions)
+    )
+    targets = model.targets(model, rewards, terminated, next_observations, chosen, steps)
+    return jnp.mean(jnp.square(model.means(observations, actions, steps) - targets), axis=(0, 2, 3))
 
 
 def _means(model: FiniteHorizonQ, batch: Batch) -> Float[Array, "rows members discounts 2"]:

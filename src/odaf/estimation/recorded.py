@@ -114,6 +114,20 @@ def resampled(episodes: int, resamples: int, rng: np.random.Generator) -> np.nda
     return np.concatenate([np.ones((1, episodes)), drawn]).astype(np.float64)
 
 
+def resampled_rows(
+    episode_of_row: np.ndarray, episodes: int, members: int, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """For every member as many rows as there are, of episodes drawn with replacement; and how often each was drawn."""
+    there, starts, lengths = np.unique(episode_of_row, return_index=True, return_counts=True)
+    table, counts = [], np.zeros((members, episodes))
+    for member in range(members):
+        drawn = rng.integers(0, len(there), len(there))
+        np.add.at(counts[member], there[drawn], 1.0)
+        rows = np.concatenate([np.arange(int(lengths[each])) + starts[each] for each in drawn])
+        table.append(np.resize(rng.permutation(rows), len(episode_of_row)))  # no chance but that of the episodes
+    return np.concatenate(table), counts
+
+
 def discounted_steps(horizon: int, discount: float) -> np.ndarray:
     """[H + 1]: the sum of gamma^k over k < h, for h from 0."""
     return np.concatenate([[0.0], np.cumsum(discount ** np.arange(horizon, dtype=np.float64))])

@@ -13,9 +13,9 @@ class EstimateSettings:
     """Sizes of what is fitted, and how intervals are made."""
 
     members: int = 8
-    """Networks of fitted Q, each with resampled episodes of its own."""
+    """Networks of fitted Q, and of the model, each with resampled episodes of its own."""
     hidden_sizes: tuple[int, ...] = (128, 128)
-    """Widths of their hidden layers, and of the behaviour density's."""
+    """Widths of all their hidden layers, and of the behaviour density's."""
     steps: int = 20_000
     """Gradient steps of each fit; that of the density may stop earlier."""
     batch_size: int = 128
@@ -24,6 +24,8 @@ class EstimateSettings:
     """Step size of Adam."""
     patience: int = 5
     """Checks without a lower error on episodes held out, one every 1,000 steps, that end the density's fit."""
+    early_stopping: bool = False
+    """End fitted Q likewise by its Bellman error on episodes held out, and keep the networks that had the lowest."""
     resamples: int = 1_000
     """Of the episodes, for intervals."""
     confidence: float = 0.95

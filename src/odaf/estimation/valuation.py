@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from scipy.special import stdtrit
+from scipy.special import stdtr, stdtrit
 
 from odaf.report.plain_tables import table
 from odaf.training.files import plain
@@ -34,12 +34,22 @@ class Interval:
         return cls(value, float(low), float(high))
 
     @classmethod
-    def of_members(cls, value: float, members: np.ndarray, confidence: float) -> "Interval":
-        """Student's, with the spread of members that each saw resampled episodes as the standard error."""
+    def of_members(cls, value: float, members: np.ndarray, confidence: float, besides: float = 0.0) -> "Interval":
+        """Student's, with the spread of members that each saw resampled episodes as the standard error.
+
+        `besides` is a standard error of another cause.
+        """
         if len(members) < 2:
             return cls(value, math.nan, math.nan)
-        half = float(stdtrit(len(members) - 1, 0.5 + confidence / 2) * np.std(members, ddof=1))
+        error = math.hypot(float(np.std(members, ddof=1)), besides)
+        half = float(stdtrit(len(members) - 1, 0.5 + confidence / 2)) * error
         return cls(value, value - half, value + half)
+
+    @staticmethod
+    def above_zero(value: float, members: np.ndarray, besides: float = 0.0) -> float:
+        """How probable it is that the value of `of_members` is above zero."""
+        error = math.hypot(float(np.std(members, ddof=1)), besides)
+        return float(stdtr(len(members) - 1, value / error)) if error > 0.0 else float(value > 0.0)
 
     def __str__(self) -> str:
         if math.isnan(self.value):
@@ -64,6 +74,8 @@ class ValueEstimate:
         calibrated: the behaviour's own value and the difference from the same estimator's value of the behaviour; None
             for estimators that are not calibrated.
         figures: further numbers, by name.
+        probability_better: that the policy is worth more than the behaviour, by the same spread as the interval of the
+            difference; None where there is none.
     """
 
     method: str
@@ -75,6 +87,12 @@ class ValueEstimate:
     effective_episodes: float | None = None
     calibrated: Interval | None = None
     figures: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    probability_better: float | None = None
+
+    @property
+    def best_value(self) -> Interval | None:
+        """The calibrated value, or else the value."""
+        return self.value if self.calibrated is None else self.calibrated
 
 
 @dataclass(frozen=True)
