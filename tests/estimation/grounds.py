@@ -14,7 +14,13 @@ from odaf.estimation import EstimateSettings
 from odaf.training.policy import Policy
 
 SMALL = EstimateSettings(
-    members=4, hidden_sizes=(32, 32), steps=1_500, batch_size=64, learning_rate=2e-3, resamples=200
+    members=4,
+    hidden_sizes=(32, 32),
+    steps=1_500,
+    batch_size=64,
+    learning_rate=2e-3,
+    resamples=200,
+    early_stopping=False,
 )
 HORIZON, CHANCE, ACTION = 5, 0.3, 0.4
 

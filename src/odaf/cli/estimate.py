@@ -49,7 +49,7 @@ class EstimateOptions:
     seed: int = 0
     """Of the fits and of resampled episodes; equal seeds give equal estimates."""
     steps: int = 20_000
-    """Gradient steps of each fit; that of the behaviour's density may stop earlier."""
+    """Gradient steps of each fit, at most."""
     members: int = 8
     """Networks of fitted Q and of the model, each with resampled episodes of its own."""
     json: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None

@@ -1,5 +1,6 @@
 """`odaf train PRESET`: learn policies from data sets; every field of the preset is an option."""
 
+import contextlib
 import dataclasses
 import itertools
 import re
@@ -22,6 +23,8 @@ from odaf.runs import presets
 if TYPE_CHECKING:
     from odaf.data import Dataset
     from odaf.evaluation import Rollouts
+    from odaf.runs.many import Plan
+    from odaf.training.logging import Logger
 
 _MOST_SEEDS = 10_000
 
@@ -38,6 +41,9 @@ class RunOptions:
     set: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE[,VALUE ...]")] = ()
     """Settings to try several values of, as in `actor_learning_rate=1e-4,3e-4 outcome.weight=0.1,1`: a run for each
     combination."""
+    halving: Annotated[Path | None, tyro.conf.arg(metavar="HOLDOUT")] = None
+    """With `--set`: train all runs a while, go on with the half that `odaf select` puts highest on this log, which no
+    run learns from, and so on until one is left. What was decided stands in DIR/halving.json."""
     task: Annotated[str | None, tyro.conf.arg(metavar="TASK")] = None
     """Take the preset's values for this task, as in hopper-medium; the defaults of this page are then that task's."""
     evaluate_every: int = 5_000
@@ -99,6 +105,10 @@ def train(preset: str, algorithm: Any, options: RunOptions, how: Any) -> None:
         raise ConfigError("--data: name at least one file")
     values = values_of(options.set)
     data, *others = options.data
+    if options.halving is not None and (others or not any(len(each) > 1 for each in values.values())):
+        raise ConfigError(
+            "--halving: chooses among values of --set on one data set; name one file, and several values of a setting"
+        )
     if others or any(len(each) > 1 for each in values.values()):
         return _train_many(preset, algorithm, options, how, values)
     algorithm = replace(algorithm, {name: each[0] for name, each in values.items()}, "--set")
@@ -145,8 +155,43 @@ def _train_many(
         workers = default_workers(len(settings.seeds), settings.cores or 1)
         settings = dataclasses.replace(settings, workers=workers)
     with repeatable():
+        if options.halving is not None:
+            return _halve(runs, settings, options, loggers)
         results = fit_many(runs, settings=settings, progress=not options.quiet, loggers=loggers)
     print_runs(results, options.out)
+
+
+def _halve(runs: "Sequence[Plan]", settings: Any, options: RunOptions, loggers: "Sequence[Logger]") -> None:
+    """Cull the runs by estimate while they train, then print what was chosen."""
+    from odaf.cli.bars import share_bar
+    from odaf.cli.spelling import spelled
+    from odaf.data import Dataset
+    from odaf.estimation import train_halving
+
+    assert options.halving is not None
+    holdout = Dataset.load(options.halving)
+    with contextlib.ExitStack() as bars:
+
+        def estimating(what: str) -> Any:
+            bars.close()
+            return bars.enter_context(share_bar(what))
+
+        def say(line: str) -> None:
+            bars.close()
+            print(line, file=sys.stderr)
+
+        found = train_halving(
+            runs,
+            holdout,
+            options.out,
+            settings=settings,
+            progress=not options.quiet,
+            estimating=estimating,
+            loggers=loggers,
+            say=say,
+        )
+    print_runs([found.best], options.out)
+    print(spelled(str(found.selection)))
 
 
 def with_ranges(arguments: list[str]) -> list[str]:

@@ -18,8 +18,9 @@ Every member of an ensemble learns from episodes drawn with replacement, and its
 the spread of the members is a standard error over episodes. The m-th members of all policies learn from the same
 episodes, so that the chance in these cancels where two policies are compared.
 
-All steps are taken unless rows are held out. An error on these has to be a Bellman error, whose square counts the
-chance in what follows as error too; docs/reference/estimates.md says what stopping by it did where values are known.
+Where rows are held out, fitting stops by the Bellman error on these, the mean over all networks. Its square counts the
+chance in what follows as error too, so it prefers a fit that is too smooth to one that is too rough;
+docs/reference/estimates.md says what that did where values are known.
 """
 
 from dataclasses import dataclass

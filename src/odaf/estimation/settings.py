@@ -17,15 +17,15 @@ class EstimateSettings:
     hidden_sizes: tuple[int, ...] = (128, 128)
     """Widths of all their hidden layers, and of the behaviour density's."""
     steps: int = 20_000
-    """Gradient steps of each fit; that of the density may stop earlier."""
+    """Gradient steps of each fit, at most."""
     batch_size: int = 128
     """Rows a gradient step (and a member)."""
     learning_rate: float = 3e-4
     """Step size of Adam."""
     patience: int = 5
-    """Checks without a lower error on episodes held out, one every 1,000 steps, that end the density's fit."""
-    early_stopping: bool = False
-    """End fitted Q likewise by its Bellman error on episodes held out, and keep the networks that had the lowest."""
+    """Checks without a lower error on episodes held out, one every 1,000 steps, that end a fit."""
+    early_stopping: bool = True
+    """End fitted Q, too, by its Bellman error on episodes held out, and keep the networks that had the lowest."""
     resamples: int = 1_000
     """Of the episodes, for intervals."""
     confidence: float = 0.95
