@@ -35,12 +35,12 @@ _TIMED = """\
 #include "policy.h"
 int main(void)
 {
-    float row[POLICY_OBSERVATION_COLUMNS], act[POLICY_ACTION_COLUMNS], sum = 0.0f;
+    float row[POLICY_OBSERVATIONS], act[POLICY_ACTIONS], sum = 0.0f;
     for (int round = 0; round < ROUNDS; ++round) {
         struct timespec began, ended;
         clock_gettime(CLOCK_MONOTONIC, &began);
         for (int call = 0; call < CALLS; ++call) {
-            for (int k = 0; k < POLICY_OBSERVATION_COLUMNS; ++k)
+            for (int k = 0; k < POLICY_OBSERVATIONS; ++k)
                 row[k] = 0.01f * (float)((call * 7 + k * 13) % 200 - 100);
             if (policy_act(row, act) == 0) sum += act[0] + act[1] + act[2];
         }

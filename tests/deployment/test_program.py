@@ -17,7 +17,7 @@ _MAIN = """
 #include "policy.h"
 int main(void)
 {
-    float x[5], y[POLICY_ACTION_COLUMNS];
+    float x[5], y[POLICY_ACTIONS];
     while (fread(x, sizeof x, 1, stdin) == 1) {
         const float status = (float)policy_act(x, y);
         fwrite(&status, sizeof status, 1, stdout);
@@ -140,3 +140,14 @@ def test_what_nothing_needs_is_left_out():
     build("multiply", x, build.constant("unused", 2.0))
     build.output("action", build("add", x, build.constant("used", 1.0)))
     assert list(build.program().constants) == ["used"]
+
+
+def test_a_squashed_number_of_the_graph_is_never_above_one(tmp_path):
+    """onnxruntime's own Tanh is, for a good part of the numbers between 8.2 and 9 (findings/)."""
+    build = Builder()
+    build.output("action", build("tanh", build.input("observation", ["x"])))
+    build.output("status", build("less", build.input("other", ["y"]), build.constant("zero", 0.0)))
+    onnx_form.write_onnx(build.program(), tmp_path / "policy.onnx", {})
+    numbers = np.linspace(8, 9.5, 10_001, dtype=np.float32)[:, None]
+    found = OnnxPolicy(tmp_path / "policy.onnx").run({"observation": numbers, "other": numbers})["action"]
+    assert found.max() == 1.0

@@ -16,7 +16,8 @@ from odaf.data.normalisation import Normaliser
 from odaf.data.spec import Spec
 from odaf.training.policy import Policy
 
-LOW, HIGH = (-2.0, 0.0), (0.3, 100.0)
+# In single precision, half the range and its centre add up to more than 0.3.
+LOW, HIGH = (-0.3, 0.0), (0.3, 100.0)
 
 
 def policy_of(kind: str, obs_dim: int = 4, derivation: Derivation | None = None, seed: int = 0) -> Policy:

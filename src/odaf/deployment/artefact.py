@@ -176,15 +176,15 @@ def _write(
         runners[FORMS["onnx"]] = check.onnx_runner(folder / FORMS["onnx"])
     if "c" in forms:
         write_c(program, folder / FORMS["c"], _about(policy, max_change))
-        half = (np.asarray(policy.action_high) - np.asarray(policy.action_low)) / 2.0
-        vectors = check.vectors(trials, wanted, rounding, half)
-        write_c_test(folder / "policy_test.c", vectors, (check.TOLERANCE * half).tolist())
         if command is not None:
             runners[FORMS["c"]] = check.c_runner(folder / FORMS["c"], command, work)
-    found = {
-        file: {"checked": True, **check.compare(file, runner, policy, trials, wanted, rounding).to_dict()}
-        for file, runner in runners.items()
-    }
+    compared = {file: check.compare(file, runner, policy, trials, wanted, rounding) for file, runner in runners.items()}
+    found = {file: {"checked": True, **agreement.to_dict()} for file, agreement in compared.items()}
+    if "c" in forms:
+        half = (np.asarray(policy.action_high) - np.asarray(policy.action_low)) / 2.0
+        close = compared[FORMS["c"]].close if command is not None else None
+        vectors = check.vectors(trials, wanted, rounding, half, close)
+        write_c_test(folder / "policy_test.c", vectors, (check.TOLERANCE * half).tolist())
     if "c" in forms and command is not None:
         check.run_c_test(folder / "policy_test.c", command, work)
     elif "c" in forms:

@@ -54,6 +54,7 @@ class _Header:
             _comment([*about, *_USE]),
             "#ifndef ODAF_POLICY_H\n#define ODAF_POLICY_H",
             "#include <math.h>\n#include <stdint.h>\n#include <string.h>",
+            "#ifdef __cplusplus\n#define POLICY_RESTRICT\n#else\n#define POLICY_RESTRICT restrict\n#endif",
             *(_columns(port) for port in (*program.inputs, *given)),
             HELPERS,
             *(self._constant(name, array) for name, array in program.constants.items()),
@@ -277,7 +278,7 @@ def _columns(port: Port) -> str:
     name, upper = port.name, port.name.upper()
     rows = [f"    {_text(column)}," for column in port.columns]
     units = [f"    {_text(unit)}," for unit in (*port.units, *[""] * len(port.columns))[: len(port.columns)]]
-    lines = [f"#define POLICY_{upper}_COLUMNS {len(port.columns)}"]
+    lines = [f"#define POLICY_{upper}S {len(port.columns)}"]
     lines += [f"static const char *const policy_{name}_names[] = {{", *rows, "};"]
     lines += [f"static const char *const policy_{name}_units[] = {{", *units, "};"]
     if all(re.fullmatch(r"[A-Za-z]\w*", column, re.ASCII) for column in port.columns):

@@ -18,15 +18,15 @@ static inline float policy_unknown(void)
 }
 
 /* y = x w + b; w [in][out]; b may be NULL. */
-static inline void policy_affine(size_t in, size_t out, const float *restrict x, const float *restrict w,
-                                 const float *restrict b, float *restrict y)
+static inline void policy_affine(size_t in, size_t out, const float *POLICY_RESTRICT x, const float *POLICY_RESTRICT w,
+                                 const float *POLICY_RESTRICT b, float *POLICY_RESTRICT y)
 {
     const size_t fours = in - in % 4;
     for (size_t j = 0; j < out; ++j) y[j] = b ? b[j] : 0.0f;
     for (size_t i = 0; i < fours; i += 4) {
         const float x0 = x[i], x1 = x[i + 1], x2 = x[i + 2], x3 = x[i + 3];
-        const float *restrict w0 = w + i * out, *restrict w1 = w0 + out;
-        const float *restrict w2 = w1 + out, *restrict w3 = w2 + out;
+        const float *POLICY_RESTRICT w0 = w + i * out, *POLICY_RESTRICT w1 = w0 + out;
+        const float *POLICY_RESTRICT w2 = w1 + out, *POLICY_RESTRICT w3 = w2 + out;
         for (size_t j = 0; j < out; ++j) y[j] = y[j] + x0 * w0[j] + x1 * w1[j] + x2 * w2[j] + x3 * w3[j];
     }
     for (size_t i = fours; i < in; ++i)
@@ -34,7 +34,8 @@ static inline void policy_affine(size_t in, size_t out, const float *restrict x,
 }
 
 /* To mean 0 and variance 1. */
-static inline void policy_standardise(size_t width, float epsilon, const float *restrict x, float *restrict y)
+static inline void policy_standardise(size_t width, float epsilon, const float *POLICY_RESTRICT x,
+                                      float *POLICY_RESTRICT y)
 {
     float mean = 0.0f, square = 0.0f;
     for (size_t k = 0; k < width; ++k) mean += x[k];
@@ -62,15 +63,19 @@ static inline int policy_act(const float *obs, float *act)
 }"""
 
 ACTED = """\
-/* Tells what was played in the last step, where it was not what policy_act gave. */
-static inline void policy_acted_state(policy_state *s, const float *{of})
+/* Tells what was played in the last step, where it was not what policy_act gave. If it is not finite, tells nothing and
+   returns -1. */
+static inline int policy_acted_state(policy_state *s, const float *{of})
 {{
+    for (size_t k = 0; k < {width}; ++k)
+        if (!policy_finite({of}[k])) return -1;
     memcpy(s->{carry}, {of}, {width} * sizeof(float));
+    return 0;
 }}
 
-static inline void policy_acted(const float *act)
+static inline int policy_acted(const float *act)
 {{
-    policy_acted_state(&policy_only, act);
+    return policy_acted_state(&policy_only, act);
 }}"""
 
 TEST = """\
@@ -130,8 +135,8 @@ int main(void)
 DRIVER = """\
 #include <stdio.h>
 #include "policy.h"
-#define COLUMNS POLICY_OBSERVATION_COLUMNS
-#define ACTIONS POLICY_ACTION_COLUMNS
+#define COLUMNS POLICY_OBSERVATIONS
+#define ACTIONS POLICY_ACTIONS
 int main(void)
 {
     float given[1 + COLUMNS + ACTIONS], answer[1 + ACTIONS];
