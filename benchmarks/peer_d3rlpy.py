@@ -46,6 +46,13 @@ def learner_of(name: str) -> tuple[Any, str]:
             batch_size=BATCH, n_critics=CRITICS, actor_encoder_factory=encoder, critic_encoder_factory=encoder
         )
         return config.create(device="cpu"), "SAC with ten critics"
+    if name.startswith("fqe:"):  # of a policy as deployed; critics, width and batch are in the name
+        critics, width, batch = map(int, name.split(":")[1:])
+        encoder = d3rlpy.models.VectorEncoderFactory([width, width])
+        policy = d3rlpy.algos.TD3Config(actor_encoder_factory=encoder).create(device="cpu")
+        policy.build_with_dataset(random_rows())
+        config = d3rlpy.ope.FQEConfig(batch_size=batch, n_critics=critics, encoder_factory=encoder)
+        return d3rlpy.ope.FQE(algo=policy, config=config, device="cpu"), f"FQE with {critics} critics"
     # BEAR after its warm-up, when an update costs most.
     learner = peer.configured(name, {**LEARNERS[name], "batch_size": BATCH, "warm_up_steps": 0})
     return learner, type(learner).__name__
@@ -58,7 +65,7 @@ def timed(learner: Any, rows: Any) -> Callable[[float], float]:
     def update(count: int) -> float:
         start = time.perf_counter()
         for _ in range(count):
-            learner.update(rows.sample_transition_batch(BATCH))
+            learner.update(rows.sample_transition_batch(learner.batch_size))
         return time.perf_counter() - start
 
     update(WARM)

@@ -30,7 +30,7 @@ from benchmarks.operations import flop_per_update
 from benchmarks.parity.settings import LEARNERS
 
 ROOT = Path(__file__).resolve().parents[1]
-PEERS = ("sac-n", *LEARNERS)  # that d3rlpy has too
+PEERS = ("sac-n", "fqe", *LEARNERS)  # that d3rlpy has too
 
 PRODUCTS = 50  # in one call of the ceiling
 FLOP_OF_CEILING = 2.0 * PRODUCTS * 10 * 256**3
@@ -78,7 +78,7 @@ class Peer:
 
     def measure(self, name: str, seconds: float) -> None:
         """Times a learner for about so long, if d3rlpy has it."""
-        if self._process is None or name not in PEERS:
+        if self._process is None or name.partition(":")[0] not in PEERS:
             return
         assert self._process.stdin is not None and self._process.stdout is not None
         print(name, seconds, file=self._process.stdin, flush=True)

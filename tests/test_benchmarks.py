@@ -20,6 +20,7 @@ from benchmarks import learners, operations, parts, updates_per_second  # noqa: 
 SCRIPTS = {
     "acting": ["--rounds", "2", "--calls", "2"],
     "deployed": ["--rounds", "2", "--calls", "2"],
+    "fitted_q": ["--rows", "3000", "--steps", "2", "--width", "8", "--batch", "8", "--rounds", "1"],
     "load_dataset": ["--rows", "3000"],
     "import_table": ["--rows", "3000"],
     "first_update": ["--rows", "3000", "--learners", "sac-n", "--updates", "2"],
@@ -28,7 +29,7 @@ SCRIPTS = {
 }
 
 
-SLOW = ("first_update", "many_seeds", "updates_per_second")
+SLOW = ("first_update", "fitted_q", "many_seeds", "updates_per_second")
 
 
 @pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.slow] * (name in SLOW)) for name in SCRIPTS])

@@ -261,6 +261,8 @@ def table(records: Sequence[Record]) -> str:
     for discount in DISCOUNTS:
         said = said_at(records, discount)
         choice, found = recommended(said), scores(said)
+        if not found:
+            continue
         title = f"discount {discount:g}" if discount < 1.0 else "undiscounted"
         chosen = "" if choice is None else f"; recommended: {choice.estimator}, widened by {choice.factor:.2f}"
         lines += [
