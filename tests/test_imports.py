@@ -26,6 +26,7 @@ ORDER = (
     "estimation",
     "deployment",
     "behaviour",
+    "theory",
     "studies",
     "cli",
 )

@@ -278,6 +278,79 @@ def grid_figure(
     return _write(figure, out)
 
 
+def theory_figure(
+    sizes: Sequence[int],
+    curves: Mapping[str, Sequence[float]],
+    heading: str,
+    rows: Sequence[str],
+    paths: Mapping[str, Sequence[tuple[int, int]]],
+    out: Path,
+) -> Path:
+    """Writes a PNG of errors and bounds over the size of a log, and beside it a grid with the paths of policies.
+
+    Args:
+        sizes: rows of the logs.
+        curves: by name, a positive number for each size.
+        heading: written above these.
+        rows: the grid's map; `#` is no cell, and other signs than `.` are written into theirs.
+        paths: by the name of the actions that the policy may take, the cells (row, column) that it visits.
+        out: the file to write; its folder is made when missing.
+
+    Returns:
+        `out`.
+
+    Raises:
+        ConfigError: the `report` extra is not installed.
+    """
+    check_extra()
+    from matplotlib.figure import Figure
+    from matplotlib.patches import Rectangle
+
+    from odaf.report import drawing
+
+    palette = drawing.LIGHT
+    figure = Figure(figsize=(8.6, 3.5), layout="constrained", facecolor="white")
+    errors, grid = figure.subplots(1, 2, width_ratios=(1.25, 1.0))
+    drawing.style_axes(errors, palette, "both")
+    for number, (name, values) in enumerate(curves.items()):
+        errors.loglog(
+            sizes,
+            values,
+            marker="o",
+            markersize=3,
+            color=palette.method(number),
+            linestyle=drawing.DASHES[number],
+            label=name,
+        )
+    errors.tick_params(which="minor", length=0)
+    errors.set_xlabel("rows of the log, N", fontsize=8)
+    errors.set_title(heading, fontsize=10, color=palette.ink, parse_math=False)
+    errors.legend(fontsize=7.5, frameon=False)
+
+    for row, line in enumerate(rows):
+        for column, sign in enumerate(line):
+            if sign != "#":
+                colour = palette.wall if sign == "X" else palette.surface
+                grid.add_patch(
+                    Rectangle((column - 0.5, row - 0.5), 1, 1, facecolor=colour, edgecolor=palette.grid, linewidth=0.8)
+                )
+            if sign in "SGX":
+                grid.text(column - 0.42, row - 0.26, sign, fontsize=8, color=palette.ink)
+    for number, (name, cells) in enumerate(paths.items()):
+        down, right = np.array(cells, float).T + 0.12 * (number - 1)
+        label = f"{name}: {len(cells) - 1} moves"
+        grid.plot(
+            right, down, color=palette.method(number), linestyle=drawing.DASHES[number], linewidth=1.8, label=label
+        )
+        grid.plot(right[-1], down[-1], "o", color=palette.method(number), markersize=4)
+    grid.set_aspect("equal")
+    grid.invert_yaxis()
+    grid.axis("off")
+    grid.set_title("Paths beside a cell outside the data (X)", fontsize=10, color=palette.ink)
+    grid.legend(fontsize=7.5, frameon=False, loc="upper center", bbox_to_anchor=(0.5, 0.0), ncols=3, columnspacing=1.0)
+    return _write(figure, out)
+
+
 def run_curves(run_directories: Sequence[Path]) -> tuple[list[Curve], list[tuple[str, float]]]:
     """Return curves of runs, and the logged best and mean as reference lines, for `learning_curves_figure`."""
     check_extra()

@@ -9,8 +9,9 @@ from odaf.studies.pointmaze import STUDY as POINTMAZE
 from odaf.studies.rivals import STUDY as RIVALS
 from odaf.studies.scoreboard import STUDY as SCOREBOARD
 from odaf.studies.selection import STUDY as SELECTION
+from odaf.studies.theory import STUDY as THEORY
 
 STUDIES: dict[str, Study] = {
     study.name: study
-    for study in (POINTMAZE, OUTCOME, LOCOMOTION, RIVALS, SCOREBOARD, GENERATORS, ESTIMATES, SELECTION)
+    for study in (POINTMAZE, OUTCOME, LOCOMOTION, RIVALS, SCOREBOARD, GENERATORS, ESTIMATES, SELECTION, THEORY)
 }
