@@ -25,6 +25,7 @@ ORDER = (
     "report",
     "estimation",
     "deployment",
+    "assessment",
     "behaviour",
     "theory",
     "studies",

@@ -33,6 +33,8 @@ _HOME_OF = {
     "Run": "odaf.evaluation",
     "StateDeviation": "odaf.algorithms.terms",
     "ValueSmoothing": "odaf.algorithms.terms",
+    "aftermath": "odaf.assessment",
+    "assess": "odaf.assessment",
     "combinations": "odaf.runs.many",
     "compare": "odaf.report.comparison",
     "estimate": "odaf.estimation",
@@ -52,6 +54,7 @@ _HOME_OF = {
 # The rooms themselves, so that `odaf.environments.make` works after `import odaf`.
 _ROOMS = (
     "algorithms",
+    "assessment",
     "behaviour",
     "components",
     "data",
@@ -92,6 +95,7 @@ if TYPE_CHECKING:
         StateDeviation,
         ValueSmoothing,
     )
+    from odaf.assessment import aftermath, assess
     from odaf.data import Dataset
     from odaf.deployment import export, guard
     from odaf.errors import CheckpointError, ConfigError, DatasetError, DivergenceError, OdafError
@@ -129,6 +133,8 @@ __all__ = [
     "StateDeviation",
     "ValueSmoothing",
     "__version__",
+    "aftermath",
+    "assess",
     "combinations",
     "compare",
     "estimate",

@@ -65,6 +65,7 @@ COMMANDS = (
     Command("export", "RUN --out DIR", "write a policy for ONNX, C and NumPy alone", "odaf.cli.export"),
     Command("guard", "RUN --data HOLDOUT", "let a policy say when it is out of its depth", "odaf.cli.guard"),
     Command("select", "RUN... --data HOLDOUT", "choose a run and a checkpoint from a log alone", "odaf.cli.select"),
+    Command("assess", "RUN --data HOLDOUT", "may I run this? a verdict from a log, on one page", "odaf.cli.assess"),
     Command("report", "DIR... --out FILE", "draw one page that compares runs", "odaf.cli.report"),
     Command("compare", "DIR...", "say whether one run is better, and how sure", "odaf.cli.compare"),
     Command("cite", "METHOD...", "print the papers of a method", "odaf.cli.cite"),

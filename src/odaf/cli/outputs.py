@@ -108,6 +108,7 @@ CHECK_REPORT = Kind("a report of `odaf data check`", _is_json_with("usable", "fi
 SCORES = Kind("scores of `odaf evaluate`", _is_json_with("seeds", "mean_return"), streams=True)
 COMPARISON = Kind("a comparison of `odaf compare`", _is_json_with("runs", "pairs", "statistics"), streams=True)
 VALUATION = Kind("estimates of `odaf estimate`", _is_json_with("behaviour", "estimates"), streams=True)
+ASSESSMENT = Kind("an assessment of `odaf assess`", _is_json_with("verdict", "reservations"), streams=True)
 ARTEFACT = Kind(
     "an artefact of `odaf export`",
     lambda path: (path / "contract.json").is_file() and _is_json_with("odaf", "not_promised")(path / "contract.json"),

@@ -79,7 +79,7 @@ def estimate(
         CheckpointError: there is no run, policy or checkpoint.
         DivergenceError: a fit stopped being finite.
     """
-    found, precision = _policy_of(policy, training_seed, step)
+    found, precision = policy_of(policy, training_seed, step)
     if method in WEIGHING and acting in ACTING and (reason := why_unweighed(found.actor, acting)):
         raise ConfigError(f"method={method}: {reason}")
     with products_in(precision):
@@ -159,7 +159,7 @@ def estimate_many(
     return Beside(plain, log, acting, key).valuations(chosen, log_probs, progress or (lambda done, total: None))
 
 
-def _policy_of(policy: Policy | str | os.PathLike[str], seed: int | None, step: int | None) -> tuple[Policy, Any]:
+def policy_of(policy: Policy | str | os.PathLike[str], seed: int | None, step: int | None) -> tuple[Policy, Any]:
     """The policy, and the precision that its run computes in."""
     if isinstance(policy, Policy) or Path(policy).is_file():
         if seed is not None or step is not None:

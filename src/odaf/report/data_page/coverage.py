@@ -17,12 +17,14 @@ class Coverage:
 
     Attributes:
         points: [rows, 2] some rows, drawn evenly over the log.
+        rows: [rows] their numbers in the log.
         good: [rows] whether the row's episode is among the best tenth by return.
         explained: share of the total variance along each of the two axes.
         leading: for each axis, the names of the columns that weigh most in it.
     """
 
     points: np.ndarray
+    rows: np.ndarray
     good: np.ndarray
     explained: tuple[float, float]
     leading: tuple[tuple[str, ...], tuple[str, ...]]
@@ -48,6 +50,7 @@ def coverage(dataset: Dataset) -> Coverage | None:
     chosen = np.unique(np.linspace(0, len(rows) - 1, DRAWN_ROWS).astype(np.int64))
     return Coverage(
         points=scaled[chosen] @ axes,
+        rows=rows[chosen],
         good=_in_good_episodes(dataset, rows[chosen]),
         explained=(float(explained[0]), float(explained[1])),
         leading=(leading[0], leading[1]),
