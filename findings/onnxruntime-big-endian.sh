@@ -8,7 +8,8 @@
 # array over as it is. In NumPy all is well, so means and scales are right. Then a network gets zeros and rubbish for readings, and
 # gives finite actions, within bounds where they are squashed.
 #
-# odaf's readers bring every array into the machine's order; it does not use onnxruntime.
+# odaf's readers bring every array into the machine's order, as does the NumPy form of `odaf export`; for its graphs, the page on the
+# export says to (docs/reference/export.md).
 set -euo pipefail
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT

@@ -9,7 +9,7 @@
 # trained with: gymnasium's `Box.contains` says no, `arctanh` gives NaN, and so does the log density of a squashed Gaussian, whose
 # correction is log(1 - a^2).
 #
-# odaf does not export to ONNX. Its policies are acted by JAX and clipped to the bounds behind the squashing (`training/policy.py`).
+# The graphs of `odaf export` cut what comes of Tanh, and the action once more to the bounds (`deployment/onnx_form.py`).
 set -euo pipefail
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT

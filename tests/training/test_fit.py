@@ -233,7 +233,7 @@ def test_settings_out_of_range_are_named(tiny, tmp_path, changes, named):
 
 
 def test_a_setting_that_no_learner_can_have_is_refused_before_anything_is_written(tiny, tmp_path):
-    with pytest.raises(ConfigError, match=r"learning_rate=-0\.1 of tiny must not be negative"):
+    with pytest.raises(ConfigError, match=r"^learning_rate=-0\.1 must not be negative"):
         _fit(tiny, tmp_path / "run", algorithm=tiny.TinyLearner(learning_rate=-0.1))
     assert not (tmp_path / "run").exists()
 
