@@ -22,7 +22,7 @@ class ExportOptions:
     """
 
     run: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RUN")]
-    """What `odaf train --out` named, or the file of a policy."""
+    """What `odaf train --out` named, or the file of a policy: that of `odaf guard --out` brings its guard."""
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
     """Folder to make."""
     forms: tuple[Literal["numpy", "onnx", "c"], ...] = ("numpy", "onnx", "c")

@@ -18,6 +18,9 @@ from odaf.data.ranges import ranges as ranges_of
 from odaf.data.writing import TEMPORARY_PREFIX
 from odaf.deployment import check, contract
 from odaf.deployment.c_form import write_c, write_c_test
+from odaf.deployment.guard import GuardedPolicy
+from odaf.deployment.guard_file import FORMAT as GUARD_FORMAT
+from odaf.deployment.guard_program import guarded_program
 from odaf.deployment.onnx_form import imported, write_onnx
 from odaf.deployment.policies import OBSERVATION, action_names, policy_program, with_formulas_outside
 from odaf.deployment.safetensors_form import RUNNER, write_safetensors
@@ -25,6 +28,7 @@ from odaf.errors import ConfigError, DatasetError, OdafWarning
 from odaf.training.files import plain, write_json
 from odaf.training.policy import Policy
 from odaf.training.run_directory import RunDirectory
+from odaf.training.tensors import read_tensors
 
 Form = Literal["numpy", "onnx", "c"]
 FORMS: dict[str, str] = {"numpy": "policy.safetensors", "onnx": "policy.onnx", "c": "policy.h"}
@@ -57,7 +61,7 @@ class Artefact:
 
 
 def export(
-    policy: Policy | str | os.PathLike[str],
+    policy: Policy | GuardedPolicy | str | os.PathLike[str],
     out: str | os.PathLike[str],
     *,
     forms: Sequence[Form] = ("numpy", "onnx", "c"),
@@ -75,7 +79,7 @@ def export(
     anything appears at `out`.
 
     Args:
-        policy: a policy, the file of one, or a run's directory.
+        policy: a policy, with a guard or without; the file of one; or a run's directory.
         out: folder to make.
         forms: "numpy" (`policy.safetensors`, and `odaf_policy.py`, which runs it with NumPy alone), "onnx" (needs the
             extra `export`), "c" (`policy.h`, and `policy_test.c`, which checks it where it is to run).
@@ -100,7 +104,15 @@ def export(
     place = Path(os.path.realpath(out))
     if place.exists() and not replace:
         raise ConfigError(f"{out}: exists already; name a new folder, or remove it first")
-    found, checkpoint, shown = _source(policy, training_seed, step)
+    guard = _guard_of(policy)
+    if guard is not None and (max_change or formulas_outside):
+        raise ConfigError(
+            "max_change=, formulas_outside=: are not offered together with a guard; leave them out, or export the "
+            "policy without its guard"
+        )
+    found, checkpoint, shown = _source(policy if guard is None else guard.policy, training_seed, step)
+    if guard is not None and not isinstance(policy, GuardedPolicy):
+        checkpoint = hashlib.sha256(Path(policy).read_bytes()).hexdigest()  # type: ignore[arg-type]
     formulas = {} if found.derivation is None else {n: f for n, f in found.derivation.parts if f is not None}
     if formulas_outside:
         found = with_formulas_outside(found)
@@ -110,9 +122,12 @@ def export(
     try:
         partial.mkdir(parents=True)
         with tempfile.TemporaryDirectory() as work:
-            checked = _write(found, partial, forms, dict(max_change or {}), shown, named_inputs, Path(work))
+            checked = _write(found, partial, forms, dict(max_change or {}), shown, named_inputs, Path(work), guard)
         files = {each.name: each for each in sorted(partial.iterdir())}
-        content = plain(contract.contract(found, formulas, max_change or {}, shown, checkpoint, checked, files))
+        promise = None if guard is None else guard.to_dict()
+        content = plain(
+            contract.contract(found, formulas, max_change or {}, shown, checkpoint, checked, files, promise)
+        )
         write_json(partial / "contract.json", content)
         if place.exists():
             os.replace(place, former)
@@ -123,10 +138,21 @@ def export(
     return Artefact(Path(out), content)
 
 
+def _guard_of(policy: Policy | GuardedPolicy | str | os.PathLike[str]) -> GuardedPolicy | None:
+    if isinstance(policy, GuardedPolicy):
+        return policy
+    if isinstance(policy, Policy) or not Path(policy).is_file():
+        return None
+    _, metadata = read_tensors(Path(policy))
+    return GuardedPolicy.load(policy) if metadata.get("format") == GUARD_FORMAT else None
+
+
 def _source(
-    policy: Policy | str | os.PathLike[str], seed: int | None, step: int | None
+    policy: Policy | GuardedPolicy | str | os.PathLike[str], seed: int | None, step: int | None
 ) -> tuple[Policy, str | None, Mapping[str, Any] | None]:
     """The policy, the digest of what it was made of, and what the log has shown."""
+    if isinstance(policy, GuardedPolicy):
+        policy = policy.policy
     if isinstance(policy, Policy) or Path(policy).is_file():
         if seed is not None or step is not None:
             raise ConfigError("training_seed=, step=: choose a policy of a run; leave them out for a single policy")
@@ -156,13 +182,17 @@ def _write(
     ranges: Mapping[str, Any] | None,
     named_inputs: bool,
     work: Path,
+    guard: GuardedPolicy | None,
 ) -> dict[str, dict[str, Any]]:
     """Writes the forms and compares them, compiling in `work`; how each compares, by file."""
-    program = policy_program(policy, max_change)
+    program = policy_program(policy, max_change) if guard is None else guarded_program(guard)
     if "onnx" in forms:
         imported("onnxruntime")
     trials = check.make_trials(policy, ranges, bool(program.carries))
-    wanted = check.expected(policy, trials, max_change)
+    if guard is None:
+        wanted = check.expected(policy, trials, max_change)
+    else:
+        trials, wanted = check.guarded_trials(guard, trials)
     command = check.compiler()
     with_program = folder / FORMS["numpy"]
     write_safetensors(program, with_program)
@@ -172,7 +202,7 @@ def _write(
         shutil.copyfile(RUNNER, folder / RUNNER.name)
         runners[FORMS["numpy"]] = check.numpy_runner(with_program)
     if "onnx" in forms:
-        write_onnx(program, folder / FORMS["onnx"], _metadata(policy, max_change), named_inputs)
+        write_onnx(program, folder / FORMS["onnx"], _metadata(policy, max_change, guard), named_inputs)
         runners[FORMS["onnx"]] = check.onnx_runner(folder / FORMS["onnx"])
     if "c" in forms:
         write_c(program, folder / FORMS["c"], _about(policy, max_change))
@@ -196,12 +226,13 @@ def _write(
     return found
 
 
-def _metadata(policy: Policy, max_change: Mapping[str, float]) -> dict[str, str]:
+def _metadata(policy: Policy, max_change: Mapping[str, float], guard: GuardedPolicy | None) -> dict[str, str]:
     """Of the ONNX file, beside names and units, which its inputs and outputs bring."""
     entries = {
         "bounds": {"low": policy.action_low, "high": policy.action_high},
         "max_change": dict(max_change),
-        "status": contract.STATUS_MEANS,
+        "status": contract.STATUS_MEANS if guard is None else contract.STATUS_MEANS | contract.GUARD_MEANS,
+        **({} if guard is None else {"guard": plain(guard.to_dict())}),
         "provenance": plain(dict(policy.provenance)),
         "not_promised": contract.NOT_PROMISED,
     }

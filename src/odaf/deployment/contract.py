@@ -18,6 +18,10 @@ STATUS_MEANS = {
     "2": "no action: earlier steps of which an observation is made are not known yet",
     "3": "refused: the numbers ran over, so readings are far outside of anything sensible",
 }
+GUARD_MEANS = {
+    "4": "the guard raises an alarm; the action is what its reaction gives",
+    "5": "no action: an alarm has stopped the policy until a new episode begins",
+}
 NOT_PROMISED = (
     "This is not a safety case. Bounds and limits hold for what is put out, and nothing follows for the plant.",
     "The actions were learned from a log. Where readings leave what the log has shown, nobody knows their worth.",
@@ -35,6 +39,7 @@ def contract(
     checkpoint: str | None,
     checked: Mapping[str, Any],
     files: Mapping[str, Path],
+    guard: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
     """The content of the file, in JSON types; None where something is not known.
 
@@ -46,6 +51,7 @@ def contract(
         checkpoint: SHA-256 of what the policy was made of.
         checked: how each form compares with the policy.
         files: of the artefact.
+        guard: what it promises, and what an alarm leads to; None without one.
     """
     return {
         "format": FORMAT,
@@ -67,7 +73,8 @@ def contract(
         ],
         "steps_before_the_first_action": policy.history,
         "time_step": None if ranges is None else ranges.get("time_step"),
-        "status": STATUS_MEANS,
+        "status": STATUS_MEANS if guard is None else STATUS_MEANS | GUARD_MEANS,
+        "guard": guard,
         "provenance": dict(policy.provenance),
         "checkpoint_sha256": checkpoint,
         "checked": dict(checked),

@@ -18,7 +18,7 @@ from odaf.data.normalisation import scale_actions, unscale_actions
 from odaf.deployment.conformal import Calibration
 from odaf.deployment.guard_file import read_guard, write_guard
 from odaf.deployment.score import MISSING, NO_COLUMN, PARTS, GuardScore, Judgement
-from odaf.errors import ConfigError
+from odaf.errors import ConfigError, DatasetError
 from odaf.report.plain_tables import table
 from odaf.training.policy import Carry, Observation, Policy
 
@@ -164,8 +164,10 @@ class GuardedPolicy:
 
     def acted(self, carry: GuardCarry, actions: Observation) -> GuardCarry:
         """The carry after a step in which something else was played than `act` gave; as `odaf.Policy.acted`."""
-        names = self.policy.action_names
         if isinstance(actions, Mapping):
+            names = self.columns[self.policy.obs_dim :]
+            if set(actions) != set(names):
+                raise DatasetError(f"action: {sorted(actions)} are not its columns; give exactly {', '.join(names)}")
             actions = np.array([actions[name] for name in names], np.float32)
         played = np.asarray(actions, np.float32).reshape(carry.action.shape)
         return carry._replace(policy=self.policy.acted(carry.policy, played), action=played)

@@ -6,7 +6,8 @@
 An observation is given by name, or as numbers in the order of `policy.columns`. What is missing, of another name, not a
 number or not finite raises `Refused`, and leaves what the policy remembers as it was. Any byte order and any real type
 of numbers is converted. `act` gives None while it has not seen the earlier steps that an action is made of: somebody
-else has to act there. Tell what was played instead of its own action with `acted`; `begin` starts a new episode.
+else has to act there, as after a guard has stopped it (`policy.status` is STOPPED, or ALARM after an alarm). Tell what
+was played instead of its own action with `acted`; `begin` starts a new episode.
 
 A program is a list of operations on float32 arrays of three axes: members of an ensemble, draws, columns.
 """
@@ -19,7 +20,7 @@ from collections.abc import Mapping
 import numpy as np
 
 FORMAT, VERSION = "odaf-artefact", "1"
-FINE, NOT_FINITE, NOT_KNOWN, OVERFLOW = range(4)  # the output `status`
+FINE, NOT_FINITE, NOT_KNOWN, OVERFLOW, ALARM, STOPPED = range(6)  # the output `status`
 
 
 class Refused(ValueError):
@@ -80,13 +81,12 @@ class Policy:
         self.columns = program["inputs"][0]["columns"]
         self.units = dict(zip(self.columns, program["inputs"][0]["units"], strict=False))
         self.action_columns = self.outputs["action"]["columns"] if "action" in self.outputs else []
-        self._carries = program["carries"]
+        self._carries, self._dtype = program["carries"], dtype
         self._constants = {name: array.astype(dtype) for name, array in arrays.items()}
         self.steps = [
             (OPERATIONS[kind], result, arguments, attributes)
             for kind, result, arguments, attributes in program["operations"]
         ]
-        self._dtype = dtype
         self.begin()
 
     def begin(self):
@@ -101,10 +101,9 @@ class Policy:
     def act(self, observation):
         """The action [act_dim]; None where the steps before are not known yet."""
         found = self.step({next(iter(self.inputs)): observation})
-        status = int(found["status"][0])
-        if status == OVERFLOW:
+        if self.status == OVERFLOW:
             raise Refused("observation: lies so far out that no number holds the action; check its units")
-        return None if status == NOT_KNOWN else found["action"]
+        return None if self.status in (NOT_KNOWN, STOPPED) else found["action"]
 
     def acted(self, action):
         """Tells what was played in the last step, if it was not what `act` gave."""
@@ -116,8 +115,10 @@ class Policy:
 
     def step(self, inputs):
         """Every output of one step by its name, from {input: observation}."""
-        rows = {name: self.row(name, inputs[name], columns) for name, columns in self.inputs.items()}
-        return self.run(rows)
+        rows = {name: self.row(name, inputs[name], columns, False) for name, columns in self.inputs.items()}
+        found = self.run(rows)  # a guard takes note of what is not finite, too
+        _ = [_finite(name, rows[name], columns) for name, columns in self.inputs.items()]
+        return found
 
     def run(self, rows):
         """As `step`, of numbers that nobody has looked at: where `status` is not 0, they are refused by the program."""
@@ -128,28 +129,31 @@ class Policy:
             for function, result, arguments, attributes in self.steps:
                 values[result] = function(*[values[name] for name in arguments], **attributes)
         self._carry = {carry["name"]: values[carry["next"]] for carry in self._carries}
-        return {name: values[entry["value"]].reshape(-1) for name, entry in self.outputs.items()}
+        found = {name: values[entry["value"]].reshape(-1) for name, entry in self.outputs.items()}
+        self.status = int(found["status"][0]) if "status" in found else FINE
+        return found
 
-    def row(self, what, given, columns):
-        """[len(columns)] finite float32 numbers in the order of the columns."""
+    def row(self, what, given, columns, finite=True):
         if isinstance(given, Mapping):
             missing = [name for name in columns if name not in given]
             unknown = [name for name in given if name not in columns]
             if missing or unknown:
-                raise Refused(
-                    f"{what}: missing {missing or 'none'}, unknown {unknown or 'none'}; give exactly "
-                    f"{', '.join(columns)}"
-                )
+                lacks = f"missing {missing or 'none'}, unknown {unknown or 'none'}"
+                raise Refused(f"{what}: {lacks}; give exactly {', '.join(columns)}")
             given = [_number(what, name, given[name]) for name in columns]
         numbers = _numbers(what, given).reshape(-1)
         if len(numbers) != len(columns):
             raise Refused(f"{what}: holds {len(numbers)} numbers, but takes {len(columns)}: {', '.join(columns)}")
         with np.errstate(over="ignore"):
             numbers = numbers.astype(np.float32)
-        if not np.isfinite(numbers).all():
-            name = columns[int(np.argmin(np.isfinite(numbers)))]
-            raise Refused(f"{what}: {name} is not a finite number; replace it before the call")
-        return numbers
+        return _finite(what, numbers, columns) if finite else numbers
+
+
+def _finite(what, numbers, columns):
+    if not np.isfinite(numbers).all():
+        name = columns[int(np.argmin(np.isfinite(numbers)))]
+        raise Refused(f"{what}: {name} is not a finite number; replace it before the call")
+    return numbers
 
 
 def _number(what, name, value):

@@ -1,8 +1,9 @@
 """A policy as a program: readings in, an action in the user's units out, and a number that says whether there is one.
 
 The output `status` is 0 where the action may be taken, 1 where a reading is not a finite number, 2 where earlier steps
-of which the observation is made are not known, 3 where the numbers ran over. Where it is not 0 the action is NaN. A
-refused step (1 or 3) changes nothing that is remembered, so the next one stands as if it had not been.
+of which the observation is made are not known, 3 where the numbers ran over; with a guard, 4 is an alarm, and 5 where
+one has stopped it. Where it is neither 0 nor 4 the action is NaN. A refused step (1 or 3) changes nothing that is
+remembered, so the next one stands as if it had not been.
 
 Carries: `observations_before` [history x parts], the latest first, where observations hold lags or differences, and
 `actions_before` [steps x act_dim], the latest first, where they hold earlier actions or the change of an action is
@@ -10,14 +11,14 @@ limited. An unknown number is NaN; the first action of an episode is not limited
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from odaf.data.derived import Derivation
 from odaf.deployment.actors import clipped, described
-from odaf.deployment.odaf_policy import NOT_FINITE, NOT_KNOWN, OVERFLOW
+from odaf.deployment.odaf_policy import ALARM, NOT_FINITE, NOT_KNOWN, OVERFLOW
 from odaf.deployment.program import STATUS, WIDTH, Builder, Program, Value
 from odaf.errors import ConfigError
 from odaf.training.policy import Policy
@@ -36,6 +37,7 @@ class Described:
         readable: 1 where every reading is finite, else 0.
         own: the part of the observation that is of this step.
         known: 1 where the earlier steps are known, else 0; None where none are looked at.
+        seen: the whole observation, in the user's units.
         normalised: what the actor sees.
         scaled: its action in [-1, 1].
         action: in the user's units, within bounds and limits; rubbish where `readable` or `known` is 0.
@@ -49,26 +51,40 @@ class Described:
     readable: Value
     own: Value
     known: Value | None
+    seen: Value
     normalised: Value
     scaled: Value
     action: Value
     observations_before: Value | None
     actions_before: Value | None
 
-    def program(self) -> Program:
-        """Names the outputs, hands on what is remembered, and closes the program."""
+    def program(
+        self, verdict: Value | None = None, more: Mapping[str, tuple[Value, Sequence[str]]] | None = None
+    ) -> Program:
+        """Names the outputs, hands on what is remembered, and closes the program.
+
+        Args:
+            verdict: the status in a step that has an action; None is 0. `STOPPED` takes the action away.
+            more: further outputs by name, with their columns.
+        """
         build = self.builder
         one, nothing = build.constant("one", 1.0), build.constant("unknown", math.nan)
         number = {status: build.constant(f"status/{status}", float(status)) for status in range(1, 4)}
+        fine = build("subtract", one, one) if verdict is None else verdict
         done = build("smallest", build("finite", self.action), axis=WIDTH)
-        status = build("select", done, build("subtract", one, one), number[OVERFLOW])
+        status = build("select", done, fine, number[OVERFLOW])
         moves = done
         if self.known is not None:
             status = build("select", self.known, status, number[NOT_KNOWN])
             moves = build("select", self.known, done, one)
         status = build("select", self.readable, status, number[NOT_FINITE])
         moves = build("multiply", self.readable, moves)
-        action = build("select", status, nothing, self.action)
+        refused = status
+        if verdict is not None:
+            refused = build(
+                "multiply", status, build("absolute", build("subtract", status, build.constant("alarm", ALARM)))
+            )
+        action = build("select", refused, nothing, self.action)
         for before, latest, of in (
             (self.observations_before, self.own, ""),
             (self.actions_before, action, ACTION),
@@ -78,6 +94,8 @@ class Described:
                 after = build("concatenate", latest, build("slice", before, first=0, last=kept)) if kept else latest
                 build.remember(before, build("select", moves, after, before), of)
         build.output(ACTION, action, action_names(self.policy), self.policy.action_units)
+        for name, (value, columns) in (more or {}).items():
+            build.output(name, value, columns)
         build.output(STATUS, status)
         return build.program()
 
@@ -117,7 +135,7 @@ def describe(policy: Policy, max_change: Mapping[str, float] | None = None) -> D
 
     normalised = _normalised(build, policy, seen)
     scaled = described(build, policy.actor, normalised)
-    action = _unscaled(build, policy, scaled)
+    action = unscaled(build, policy, scaled)
     if limits and actions_before is not None:
         action = _limited(build, policy, limits, action, actions_before)
     return Described(
@@ -127,6 +145,7 @@ def describe(policy: Policy, max_change: Mapping[str, float] | None = None) -> D
         readable,
         observation,
         known,
+        seen,
         normalised,
         scaled,
         action,
@@ -182,7 +201,7 @@ def _normalised(build: Builder, policy: Policy, observation: Value) -> Value:
     return scaled
 
 
-def _unscaled(build: Builder, policy: Policy, scaled: Value) -> Value:
+def unscaled(build: Builder, policy: Policy, scaled: Value) -> Value:
     low, high = np.asarray(policy.action_low, np.float64), np.asarray(policy.action_high, np.float64)
     action = build("multiply", scaled, build.constant("actions/half", (high - low) / 2))
     action = build("add", action, build.constant("actions/centre", (high + low) / 2))

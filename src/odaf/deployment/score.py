@@ -91,7 +91,7 @@ class GuardScore(eqx.Module):
         outcome = self.outcome.expected(states, actions)
         values = self.critics(outcome, actor.mode(outcome))
         distance, gaps = self._nearest(self.place(states, actions))
-        known = jnp.all(jnp.isfinite(expected), axis=-1)
+        known = jnp.all(jnp.isfinite(jnp.concatenate(before, axis=-1)), axis=-1)
         error = jnp.where(known[:, None], states - expected, jnp.zeros_like(states))
         white_error = error @ self.error_whitening
         parts = jnp.stack(

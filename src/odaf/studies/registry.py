@@ -2,6 +2,7 @@
 
 from odaf.studies.estimates import STUDY as ESTIMATES
 from odaf.studies.generators import STUDY as GENERATORS
+from odaf.studies.guard import STUDY as GUARD
 from odaf.studies.job import Study
 from odaf.studies.locomotion import STUDY as LOCOMOTION
 from odaf.studies.outcome import STUDY as OUTCOME
@@ -13,5 +14,5 @@ from odaf.studies.theory import STUDY as THEORY
 
 STUDIES: dict[str, Study] = {
     study.name: study
-    for study in (POINTMAZE, OUTCOME, LOCOMOTION, RIVALS, SCOREBOARD, GENERATORS, ESTIMATES, SELECTION, THEORY)
+    for study in (POINTMAZE, OUTCOME, LOCOMOTION, RIVALS, SCOREBOARD, GENERATORS, ESTIMATES, SELECTION, THEORY, GUARD)
 }

@@ -35,8 +35,13 @@ class CVAEDynamics(DynamicsModel):
     def expected(
         self, observations: Float[Array, "rows obs_dim"], actions: Float[Array, "rows act_dim"]
     ) -> Float[Array, "rows obs_dim"]:
-        """Decode the central z."""
-        return self.predict(observations, actions, jnp.zeros((observations.shape[0], self.cvae.latent_dim)))
+        """Decode the central z: the prior's, or the encoder's mean."""
+        condition = jnp.concatenate([observations, actions], axis=-1)
+        if self.cvae.sees_target:
+            latent = jnp.zeros((observations.shape[0], self.cvae.latent_dim))
+        else:
+            latent, _ = self.cvae.encode(condition)  # without its spread, which far states let run over
+        return self.to_state(observations, self.cvae.decode(condition, latent))
 
     def loss(
         self,
