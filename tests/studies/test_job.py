@@ -60,7 +60,7 @@ def test_a_comparison_is_complete_before_the_next_seed_begins() -> None:
 @pytest.mark.parametrize("name", STUDIES)
 def test_every_plan_holds_together(name: str) -> None:
     jobs = STUDIES[name].jobs()
-    assert len(jobs) >= 10
+    assert len(jobs) > 2
     lines: dict[str, float] = {}
     for one in jobs:  # what shares a directory is never under way twice, and grows
         if one.do.line is not None:
