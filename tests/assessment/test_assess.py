@@ -13,8 +13,8 @@ from golden.tiny import linear_dataset
 from odaf.assessment import Assessment, Kept, aftermath, assess
 from odaf.assessment.actions import action_columns
 from odaf.assessment.after import beside, drifts
-from odaf.assessment.assess import verdict_of
 from odaf.assessment.page import build
+from odaf.assessment.verdict import verdict_of
 from odaf.components.policies import init_deterministic_actor
 from odaf.data.dataset import Dataset
 from odaf.data.normalisation import Normaliser

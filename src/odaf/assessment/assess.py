@@ -1,13 +1,4 @@
-"""The front of an assessment: what is asked of the log, in which order, and how the answers become one verdict.
-
-- **refused**: the log's checks found an error, or it cannot tell what the policy is worth.
-- **worse**: the policy surely earns less than whoever wrote the log, or surely breaks a condition more often.
-- **better**: it surely earns more, and breaks no condition surely more often.
-- **not decided**: everything else.
-
-"Surely" is an interval that leaves the other one out. What does not change the verdict but should be looked at before
-anything runs stands beside it as a reservation.
-"""
+"""The front of an assessment: what is asked of the log, and in which order."""
 
 import dataclasses
 import os
@@ -19,6 +10,7 @@ import numpy as np
 
 from odaf.assessment import actions, after
 from odaf.assessment.conditions import Condition, Kept, conditions_of, share_of
+from odaf.assessment.verdict import reservations, verdict_of
 from odaf.components.fitting import Progress
 from odaf.data.checks.findings import Report
 from odaf.data.dataset import Dataset
@@ -33,9 +25,6 @@ from odaf.training.policy import Policy
 
 DECIDES = ("blend", "fqe")
 """Estimators by which the verdict goes, the first that gave an answer."""
-MANY_ALARMS = 0.5  # share of episodes in which the policy's own actions have an alarm
-FAR_JUMPS = 0.01  # share of changes above the largest logged one
-OUTSIDE = 0.01  # share of actions beyond the logged ones
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,7 +185,7 @@ def assess(
     return Assessment(
         verdict,
         tuple(reasons),
-        tuple(_reservations(valuation, columns, guarded, report)),
+        tuple(reservations(valuation, columns, guarded, report)),
         valuation,
         decides,
         kept,
@@ -309,47 +298,3 @@ def _over_time(guard: GuardedPolicy, dataset: Dataset) -> tuple[np.ndarray, np.n
     worst = int(np.argmax(np.maximum.reduceat(logged, dataset.episode_starts)))
     rows = dataset.episode(worst)
     return logged[rows], own[rows]
-
-
-def verdict_of(found: ValueEstimate, kept: Sequence[Kept], report: Report) -> tuple[Verdict, list[str]]:
-    """The verdict and the reasons for it; see the head of this file."""
-    errors = report.of("error")
-    if errors:
-        return "refused", [f"the log's checks found errors, such as {errors[0].message}"]
-    if found.verdict == "refused":
-        return "refused", [f"the log cannot tell what the policy is worth: {found.reason}"]
-    worse = [f"it breaks '{each.text}' surely more often than whoever wrote the log" for each in kept if each.worse]
-    if found.verdict == "worse":
-        worse.insert(0, "it surely earns less than whoever wrote the log")
-    if worse:
-        return "worse", worse
-    if found.verdict == "better":
-        return "better", ["it surely earns more than whoever wrote the log"]
-    return "not decided", ["the interval of the difference from what was logged holds zero"]
-
-
-def _reservations(
-    valuation: Valuation,
-    columns: Sequence[actions.ActionColumn],
-    guard: GuardedPolicy | None,
-    report: Report,
-) -> list[str]:
-    """What does not change the verdict, but should be looked at before anything runs."""
-    said = []
-    for column in columns:
-        if column.outside > OUTSIDE:
-            said.append(f"{column.outside:.0%} of the actions {column.name} lie beyond every logged one")
-        if column.jumps > FAR_JUMPS:
-            said.append(
-                f"{column.jumps:.0%} of the changes of {column.name} are larger than any logged one; "
-                f"`odaf export --max-change {column.name}=...` limits them"
-            )
-    if guard is not None and guard.facts["policy_alarms"] > MANY_ALARMS * guard.calibration.episodes:
-        said.append(
-            f"the guard would have an alarm in {guard.facts['policy_alarms']:,} of {guard.calibration.episodes:,} "
-            "episodes if the policy acted: it leads away from what the log knows"
-        )
-    warnings = report.of("warning")
-    if warnings:
-        said.append(f"the log's checks have {len(warnings)} warnings, such as: {warnings[0].message}")
-    return said + list(valuation.notes)
