@@ -18,9 +18,9 @@ Every member of an ensemble learns from episodes drawn with replacement, and its
 the spread of the members is a standard error over episodes. The m-th members of all policies learn from the same
 episodes, so that the chance in these cancels where two policies are compared.
 
-Where rows are held out, fitting stops by the Bellman error on these, the mean over all networks. Its square counts the
-chance in what follows as error too, so it prefers a fit that is too smooth to one that is too rough;
-docs/reference/estimates.md says what that did where values are known.
+Where rows are held out, fitting stops by the Bellman error on these, the mean over all networks. Networks that have
+not yet learnt what follows contradict themselves least, so over long horizons it stops far too early;
+docs/reference/estimates.md says what it did where values are known.
 """
 
 from dataclasses import dataclass
@@ -36,7 +36,7 @@ from odaf.components.fitting import Batch, EarlyStopping, Progress, fit, of_rows
 from odaf.components.networks import MLP, init_mlp
 from odaf.estimation.recorded import discounted_steps
 
-SLOW_RATE = 0.02
+SLOW_RATE = 0.1  # a slower copy carries rewards back over too few steps: docs/reference/estimates.md
 STRETCH = 1_000
 ODD = 7_919  # spreads numbers of steps over rows
 MOST_HELD_OUT = 4_096  # rows

@@ -24,8 +24,8 @@ class EstimateSettings:
     """Step size of Adam."""
     patience: int = 5
     """Checks without a lower error on episodes held out, one every 1,000 steps, that end a fit."""
-    early_stopping: bool = True
-    """End fitted Q, too, by its Bellman error on episodes held out, and keep the networks that had the lowest."""
+    early_stopping: bool = False
+    """End fitted Q, too, by its Bellman error on episodes held out: for small logs of short episodes alone."""
     resamples: int = 1_000
     """Of the episodes, for intervals."""
     confidence: float = 0.95
