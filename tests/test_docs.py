@@ -3,8 +3,13 @@
 import json
 import re
 import shlex
+import shutil
+import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
+import jax
 import pytest
 
 import odaf
@@ -27,11 +32,18 @@ def blocks(page: Path, language: str) -> list[tuple[int, str]]:
 
 def commands(page: Path) -> list[tuple[int, list[str]]]:
     """Line number and words of every `odaf ...` in the page's shell blocks; a backslash continues a line."""
+    return [(line, words[1:]) for line, words in shell_lines(page) if words[0] == "odaf"]
+
+
+def shell_lines(page: Path) -> list[tuple[int, list[str]]]:
+    """Line number and words of every command in the page's shell blocks, comments aside."""
     found = []
     for first, text in blocks(page, "sh"):
-        for offset, line in enumerate(text.replace("\\\n", " ").splitlines()):
-            if line.startswith("odaf "):
-                found.append((first + offset, shlex.split(line, comments=True)[1:]))
+        # A continued line keeps its number, and those that it goes on in become empty.
+        joined = re.sub(r"(?:.*\\\n)+.*", lambda m: m[0].replace("\\\n", " ") + "\n" * m[0].count("\n"), text)
+        for offset, line in enumerate(joined.splitlines()):
+            if words := shlex.split(line, comments=True):
+                found.append((first + offset, words))
     return found
 
 
@@ -46,16 +58,43 @@ def make_runs() -> None:
         )
 
 
-# On these pages the commands are part of the program: they run between the blocks of Python.
-WITH_COMMANDS = (ROOT / "docs" / "tutorials" / "plant.md",)
-# What they train is made small; the last word of an option counts.
+TUTORIALS = ROOT / "docs" / "tutorials"
+# On these pages the commands are part of the program: they run between the blocks of Python, those of a C compiler
+# too. A block of C whose first line is the comment of a file's name is that file.
+WITH_COMMANDS = (TUTORIALS / "plant.md", TUTORIALS / "guarded-c.md", TUTORIALS / "which-run.md")
+# What they train and fit is made small; the last word of an option counts.
+SMALL = ("--steps", "4", "--hidden-sizes", "8", "--batch-size", "8", "--no-compilation-cache", "--quiet")
 SHORTER = {
-    "behaviour-cloning": ["--steps", "4", "--hidden-sizes", "8", "--batch-size", "8"],
-    "odaf": [
-        *("--steps", "4", "--hidden-sizes", "8", "--batch-size", "8", "--num-critics", "2"),
+    "train behaviour-cloning": SMALL,
+    "train rebrac": SMALL,
+    "train odaf": (
+        *(*SMALL, "--num-critics", "2"),
         *("--outcome.dynamics.steps", "4", "--outcome.dynamics.hidden-sizes", "8"),
-    ],
+    ),
+    "guard": ("--steps", "4", "--references", "16"),
+    "select": ("--steps", "4", "--members", "2"),
+    "assess": ("--steps", "4", "--members", "2"),
 }
+
+
+@contextmanager
+def compiled_quickly() -> Iterator[None]:
+    """Programs that run for a moment are not worth the compiler's pains."""
+    before = jax.config.read("jax_disable_most_optimizations")
+    jax.config.update("jax_disable_most_optimizations", True)
+    try:
+        yield
+    finally:
+        jax.config.update("jax_disable_most_optimizations", before)
+
+
+def run_words(words: list[str]) -> int:
+    """Exit status of a command line of a page, made small."""
+    if words[0] == "odaf":
+        name = " ".join(words[1:3]) if words[1] == "train" else words[1]
+        return main([*words[1:], *SHORTER.get(name, ())])
+    optimised = [word.replace("-O3", "-O1") for word in words]
+    return subprocess.run(optimised, check=False).returncode
 
 
 @pytest.mark.parametrize("page", [p for p in PAGES if blocks(p, "python")], ids=lambda p: str(p.relative_to(ROOT)))
@@ -65,16 +104,20 @@ def test_examples_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     names: dict[str, object] = {"__name__": "example"}
     if any('Path("runs/odaf")' in text for _, text in blocks(page, "python")):
         make_runs()
-    program = [(line, text, None) for line, text in blocks(page, "python")]
+    program: list[tuple[int, str | list[str]]] = [*blocks(page, "python")]
     if page in WITH_COMMANDS:
-        program += [(line, "", words) for line, words in commands(page)]
-    for line, text, words in sorted(program, key=lambda part: part[0]):
-        if words is not None:
-            shorter = [*SHORTER[words[1]], "--no-compilation-cache", "--quiet"] if words[0] == "train" else []
-            assert main([*words, *shorter]) == 0, f"{page}:{line}"
-        else:
-            # Blank lines in front make a traceback name the line of the page.
-            exec(compile("\n" * (line - 1) + text, str(page), "exec"), names)
+        program += shell_lines(page)
+        for _, text in blocks(page, "c"):
+            Path(text.split("\n", 1)[0].strip("/* ")).write_text(text, encoding="utf-8")
+        if shutil.which("cc") is None and any(words[0] == "cc" for _, words in shell_lines(page)):
+            pytest.skip("needs a C compiler")
+    with compiled_quickly():
+        for line, step in sorted(program, key=lambda part: part[0]):
+            if isinstance(step, list):
+                assert run_words(step) == 0, f"{page}:{line}"
+            else:
+                # Blank lines in front make a traceback name the line of the page.
+                exec(compile("\n" * (line - 1) + step, str(page), "exec"), names)
 
 
 def test_the_readme_has_an_example_and_it_is_short():

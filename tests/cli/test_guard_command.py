@@ -34,6 +34,7 @@ def test_a_guard_is_made_written_and_asked(run: Path, tmp_path: Path, capsys: py
     printed = capsys.readouterr().out
     assert "in at most 5.00% of episodes like the 19 set aside (recordings, 8 steps at the median)" in printed
     assert "the last action is held" in printed and "Critics: 4 fitted to the log" in printed
+    assert f"wrote {out}; for C, ONNX or NumPy: odaf export {out} --out artefact" in printed
     assert "nearest logged rows" in printed and "rest of episode" in printed
     found = json.loads(record.read_text())
     assert found["calibration"]["episodes"] == 19 and set(found["levels"]) == {

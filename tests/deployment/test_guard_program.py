@@ -1,6 +1,7 @@
 """The guard in all forms of the artefact: same actions, same alarms, and no reading deafens it."""
 
 import dataclasses
+import re
 import shutil
 import subprocess
 import sys
@@ -91,6 +92,11 @@ def test_every_form_acts_and_alarms_as_the_guarded_policy(reaction, kind, actor,
         assert found["checked"] and found["largest_difference"] <= 1e-5
         assert found["steps"] >= (10 if reaction == "stop" else 200)
     assert artefact.contract["guard"]["reaction"] == reaction and "4" in artefact.contract["status"]
+    assert "4 is an alarm" in (tmp_path / "out" / "policy.h").read_text()
+    shipped = (tmp_path / "out" / "policy_test.c").read_text().split("vectors[] = {\n")[1].split("};")[0].splitlines()
+    assert len(shipped) >= 4 and any(line.startswith("    {0, ") for line in shipped)  # later steps of an episode, too
+    if reaction in ("hold", "stop"):  # the others act on readings far away, where rounding decides
+        assert any(re.match(r"    \{\d, [45], ", line) for line in shipped)
 
 
 def test_parts_of_the_score_are_those_of_the_guarded_policy(tmp_path: Path):

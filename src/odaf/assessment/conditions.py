@@ -105,9 +105,7 @@ class Kept:
         return self.policy is not None and self.policy.low > self.logged.high
 
     def __str__(self) -> str:
-        said = (
-            f"keep {self.text}: {self.broken:,} of {self.episodes:,} logged episodes broke it ({_share(self.logged)})"
-        )
+        said = f"keep {self.text}: {self.broken:,} of {self.episodes:,} logged episodes broke it, {_share(self.logged)}"
         return f"{said}; the policy: {self.reason if self.policy is None else _share(self.policy)}"
 
 

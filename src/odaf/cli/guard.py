@@ -9,6 +9,7 @@ import tyro
 from odaf.cli.bars import share_bar
 from odaf.cli.options import parse
 from odaf.cli.outputs import GUARD, GUARD_RECORD, check_outputs
+from odaf.cli.results import quoted
 from odaf.cli.spelling import spelled
 from odaf.errors import ConfigError
 
@@ -98,6 +99,7 @@ def run(arguments: list[str]) -> None:
         print(f"\n{Explainer(guarded, log_of(options.run, options.log)).ask(*asked, options.neighbours)}")
     if options.out is not None:
         guarded.save(options.out)
+        print(f"wrote {options.out}; for C, ONNX or NumPy: odaf export {quoted(options.out)} --out artefact")
     if options.json is not None:
         write_json(options.json, guarded.to_dict())
 

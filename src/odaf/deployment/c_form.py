@@ -51,7 +51,7 @@ class _Header:
             + [f"float *{port.name}" for port in given]
         )
         parts = [
-            _comment([*about, *_USE]),
+            _comment([*about, *_USE, *(_USE_GUARD if any(port.name == "guard" for port in given) else ())]),
             "#ifndef ODAF_POLICY_H\n#define ODAF_POLICY_H",
             "#include <math.h>\n#include <stdint.h>\n#include <string.h>",
             "#ifdef __cplusplus\n#define POLICY_RESTRICT\n#else\n#define POLICY_RESTRICT restrict\n#endif",
@@ -270,6 +270,10 @@ _USE = (
     "policy_act returns 0 and fills the action, or refuses and fills it with NaN:",
     "1 a reading is not finite, 2 the steps before are not known yet, 3 the numbers ran over.",
     "policy_begin starts an episode. One process with several plants: policy_step with a policy_state each.",
+)
+_USE_GUARD = (
+    "With its guard, 4 is an alarm: the action is there, and is what the reaction gives. 5: an alarm has stopped it until",
+    "policy_begin, and the action is NaN. policy_guard holds each part of the score beside its limit, which is 1.",
 )
 
 

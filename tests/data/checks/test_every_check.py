@@ -274,6 +274,11 @@ def test_the_report_says_what_is_wrong_and_where(name: str):
     assert report.exit_code(strict=True) == {"error": 2, "warning": 1, "note": 0}[severity] or len(report.findings) > 1
 
 
+def test_a_zero_is_said_without_a_sign():
+    report = check_log(healthy.log(actions=np.where(CLEAN["actions"] > 0, 1.0, -0.0)))
+    assert " 0 to 1" in only(report, "actions-few-values").message
+
+
 @pytest.mark.parametrize("name", SPOILED)
 def test_blocks_of_any_size_give_the_same_report(name: str, monkeypatch: pytest.MonkeyPatch):
     """Whatever a check carries from one block to the next is right at every border."""

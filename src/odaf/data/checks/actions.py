@@ -158,7 +158,7 @@ class Discrete:
         values = sorted(self._values)
         ladder = values == [float(step) for step in range(count)] and self._facts.act_dim == 1
         inside = self._facts.high is not None and values[-1] <= float(self._facts.high.max())
-        shown = f"{values[0]:g} to {values[-1]:g}"
+        shown = f"{values[0] + 0.0:g} to {values[-1] + 0.0:g}"  # -0 is 0
         if ladder and not inside:
             return [
                 Finding(
