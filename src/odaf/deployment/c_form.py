@@ -272,8 +272,8 @@ _USE = (
     "policy_begin starts an episode. One process with several plants: policy_step with a policy_state each.",
 )
 _USE_GUARD = (
-    "With its guard, 4 is an alarm: the action is there, and is what the reaction gives. 5: an alarm has stopped it until",
-    "policy_begin, and the action is NaN. policy_guard holds each part of the score beside its limit, which is 1.",
+    "With its guard, 4 is an alarm: the action is there, and is what the reaction gives. 5: an alarm has stopped it",
+    "until policy_begin; the action is NaN. policy_guard holds each part of the score beside its limit, which is 1.",
 )
 
 

@@ -275,7 +275,7 @@ def test_the_report_says_what_is_wrong_and_where(name: str):
 
 
 def test_a_zero_is_said_without_a_sign():
-    report = check_log(healthy.log(actions=np.where(CLEAN["actions"] > 0, 1.0, -0.0)))
+    report = check_log(healthy.log({"actions": np.where(CLEAN["actions"] > 0, 1.0, -0.0)}))
     assert " 0 to 1" in only(report, "actions-few-values").message
 
 
