@@ -129,6 +129,22 @@ def test_afterwards_the_promise_stands_beside_what_happened(found: Assessment, t
         aftermath(found, other)
 
 
+def test_a_refused_estimate_promises_nothing(found: Assessment):
+    estimates = tuple(dataclasses.replace(each, verdict="refused") for each in found.valuation.estimates)
+    refused = dataclasses.replace(found, valuation=dataclasses.replace(found.valuation, estimates=estimates))
+    assert refused.decisive.value is not None and refused.promised is None
+    assert aftermath(refused, found.holdout).beside == "nothing was promised"
+    assert "value of an episode: refused" in str(refused)
+
+
+def test_a_condition_that_every_episode_broke_shows_no_way_to_keep_it(found: Assessment):
+    names = found.holdout.observation_names
+    changes = {"steps": 1, "hidden_sizes": (4,), "references": 10, "members": 2}
+    again = assess(found.policy, found.holdout, keep=[f"{names[0]} < -99"], settings=TINY, guard_changes=changes)
+    assert "every logged episode broke it, so that nothing shows how it is kept" in again.kept[0].reason
+    assert again.guard is None and "does not say where the data are" in again.no_guard
+
+
 def test_promises_are_kept_where_intervals_meet():
     happened = Interval(5.0, 4.0, 6.0)
     assert beside(Interval(3.0, 2.0, 4.0), happened) == "as promised"

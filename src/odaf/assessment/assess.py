@@ -71,6 +71,12 @@ class Assessment:
         """The estimate that the verdict goes by."""
         return self.valuation[self.decides]
 
+    @property
+    def promised(self) -> Interval | None:
+        """Value of an episode of the policy, in the log's unit of reward; None where the estimate was refused."""
+        found = self.decisive
+        return None if found.verdict == "refused" else found.calibrated or found.value
+
     def to_dict(self) -> dict[str, Any]:
         """Plain JSON types; NaN as None."""
         guarded = None if self.guard is None else self.guard.to_dict()
@@ -93,10 +99,8 @@ class Assessment:
 
     def __str__(self) -> str:
         lines = [f"{self.verdict.upper()}: {'; '.join(self.reasons)}", ""]
-        found = self.decisive
-        told = found.calibrated or found.value
         lines.append(
-            f"value of an episode: {'-' if told is None else told} ({self.decides}); whoever wrote the log "
+            f"value of an episode: {self.promised or 'refused'} ({self.decides}); whoever wrote the log "
             f"{self.valuation.behaviour}; to step {self.valuation.horizon:,}, {self.valuation.confidence:.0%} intervals"
         )
         lines += [str(each) for each in self.kept]
@@ -173,7 +177,7 @@ def assess(
     own = actions.own_actions(policy, dataset)
     columns = actions.action_columns(dataset, own)
     guarded, why = _guarded(
-        run if not isinstance(run, Policy) else policy,
+        run,
         dataset,
         log,
         false_alarms,
@@ -211,7 +215,7 @@ def aftermath(assessment: Assessment, new: Dataset | str | os.PathLike[str]) -> 
     Raises:
         DatasetError: it has other columns, or a single episode.
     """
-    found, valuation = assessment.decisive, assessment.valuation
+    valuation = assessment.valuation
     conditions = conditions_of([each.text for each in assessment.kept], assessment.holdout)
     return after.happened(
         assessment.policy,
@@ -220,7 +224,7 @@ def aftermath(assessment: Assessment, new: Dataset | str | os.PathLike[str]) -> 
         new if isinstance(new, Dataset) else Dataset.load(new),
         valuation.horizon,
         valuation.discount,
-        found.calibrated or found.value,
+        assessment.promised,
         list(zip(conditions, assessment.kept, strict=True)),
         valuation.confidence,
         assessment.seed,
@@ -253,8 +257,10 @@ def _kept(
     broken = int(np.logical_or.reduceat(condition.broken(dataset), dataset.episode_starts).sum())
     logged = share_of(broken, episodes, confidence)
     if broken in (0, episodes):
-        which = "no" if broken == 0 else "every"
-        reason = f"cannot be told, {which} logged episode broke it, so that nothing shows what leads there"
+        lacking = "no logged episode broke it, so that nothing shows what leads there"
+        if broken:
+            lacking = "every logged episode broke it, so that nothing shows how it is kept"
+        reason = f"cannot be told, {lacking}"
         return Kept(condition.text, episodes, broken, logged, None, reason)
     found = estimate(
         policy,
