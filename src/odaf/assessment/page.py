@@ -3,16 +3,11 @@
 import json
 from pathlib import Path
 
-import jinja2
-
-import odaf
 from odaf.assessment import pictures
 from odaf.assessment.after import Aftermath
 from odaf.assessment.assess import Assessment
-from odaf.data.writing import write_atomically
-from odaf.errors import ConfigError
-from odaf.report.drawing import DARK, LIGHT, plain_number
-from odaf.report.svg import variables
+from odaf.report.drawing import plain_number
+from odaf.report.template import rendered, require_file, write_page
 
 
 def build(found: Assessment, out: Path, title: str, after: Aftermath | None = None) -> Path:
@@ -31,29 +26,17 @@ def build(found: Assessment, out: Path, title: str, after: Aftermath | None = No
         ConfigError: `out` is a folder.
     """
     out = Path(out)
-    if out.is_dir():
-        raise ConfigError(f"{out}: is a folder; name the HTML file to write, for example {out / 'assess.html'}")
+    require_file(out, "assess.html")
     page = render(found, title, after)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    write_atomically(out, lambda file: file.write(page.encode("utf-8")))
-    return out
+    return write_page(page, out)
 
 
 def render(found: Assessment, title: str, after: Aftermath | None) -> str:
     """The whole page as text. Everything that comes from files is escaped by the template."""
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("odaf.report", "templates"),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters["figure"] = plain_number
-    return environment.get_template("assess.html").render(
+    return rendered(
+        "assess.html",
+        {"figure": plain_number},
         title=title,
-        light=variables(LIGHT),
-        dark=variables(DARK),
-        version=odaf.__version__,
         found=found,
         after=after,
         samples=pictures.samples(found.holdout),

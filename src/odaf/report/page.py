@@ -5,20 +5,14 @@ import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-import jinja2
-
-import odaf
-from odaf.data.writing import write_atomically
-from odaf.errors import ConfigError
 from odaf.report import charts, paths
 from odaf.report.columns import count, figure, log_rows, note_of, score_columns, seed_columns, share, statistic
 from odaf.report.configuration import ABSENT, differences
-from odaf.report.drawing import DARK, LIGHT
 from odaf.report.layout import maze_layout
 from odaf.report.names import listed, names_of
 from odaf.report.records import LOCAL, RunRecord, data_prints, environments, find_runs, optional, read_run
 from odaf.report.scores import Score, decimals, headline_index, score
-from odaf.report.svg import variables
+from odaf.report.template import rendered, require_file, write_page
 
 _NOT_SETTINGS = ("format", "version")
 
@@ -28,13 +22,10 @@ def build(
 ) -> Path:
     """See `odaf.report.build`."""
     out = Path(out)
-    if out.is_dir():
-        raise ConfigError(f"{out}: is a folder; name the HTML file to write, for example {out / 'report.html'}")
+    require_file(out, "report.html")
     runs = [read_run(directory) for directory in find_runs(run_directories)]
     page = render(runs, title, names)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    write_atomically(out, lambda file: file.write(page.encode("utf-8")))
-    return out
+    return write_page(page, out)
 
 
 def render(runs: Sequence[RunRecord], title: str | None = None, names: Sequence[str] | None = None) -> str:
@@ -47,19 +38,10 @@ def render(runs: Sequence[RunRecord], title: str | None = None, names: Sequence[
     columns = score_columns(scores, places)
     of_which_log = f"the log of {names[main]}" if len(set(data_prints(runs)) - {None}) > 1 else "the log"
     settings = [{key: value for key, value in run.config.items() if key not in _NOT_SETTINGS} for run in runs]
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("odaf.report", "templates"),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters |= {"figure": figure, "count": count, "share": share}
-    return environment.get_template("page.html").render(
+    return rendered(
+        "page.html",
+        {"figure": figure, "count": count, "share": share},
         title=title or default_title(names),
-        light=variables(LIGHT),
-        dark=variables(DARK),
-        version=odaf.__version__,
         runs=runs,
         names=names,
         scores=scores,
