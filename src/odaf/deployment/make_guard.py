@@ -28,12 +28,12 @@ from odaf.deployment.ingredients import GuardSettings, Ingredients, ingredients
 from odaf.deployment.nearest import references, whitening
 from odaf.deployment.score import PARTS, GuardScore
 from odaf.errors import ConfigError, DatasetError
+from odaf.estimation.compatibility import require_same_columns
 from odaf.training.data_search import check_same_data, find_data
 from odaf.training.policy import Policy
 from odaf.training.run_directory import RunDirectory
 
 LEVEL_SHARE = 0.2  # of the training log's episodes that the parts' levels are taken from
-SAME_BOUNDS = 1e-5  # of the range
 CONSTANT_WIDTH = 1e-3  # half width of a column that never varied, beside its value
 SMALLEST = 1e-6  # of a level or a half width
 ERROR_FLOOR = 1e-6  # of the variance of the dynamics' errors
@@ -288,25 +288,7 @@ def _require_fit(policy: Policy, dataset: Dataset) -> None:
             f"{type(policy.actor).__name__}: remembers earlier steps, and a guard asks what it would do next at states "
             "that were only predicted; take a learner whose policy sees one observation"
         )
-    for what, mine, theirs in (
-        ("observations", policy.observation_names, dataset.observation_names),
-        ("actions", policy.action_names, dataset.action_names),
-    ):
-        if (mine or theirs) != theirs:
-            raise DatasetError(
-                f"{what}: the policy has {', '.join(mine)}, the data {', '.join(theirs)}; read them as the log that "
-                "the policy learned from, in the same order"
-            )
-    low, high = np.asarray(policy.action_low), np.asarray(policy.action_high)
-    if (
-        dataset.act_dim != len(low)
-        or (np.abs(np.stack([low - dataset.action_low, high - dataset.action_high])) > SAME_BOUNDS * (high - low)).any()
-    ):
-        raise DatasetError(
-            f"actions: the policy's bounds are {low.tolist()} to {high.tolist()}, those of the data "
-            f"{dataset.action_low.tolist()} to {dataset.action_high.tolist()}; set episodes aside from one log with "
-            "`odaf data split`, or read them with action_bounds="
-        )
+    require_same_columns(policy, dataset)
 
 
 def _require_apart(log: Dataset, holdout: Dataset) -> None:

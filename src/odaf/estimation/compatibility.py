@@ -18,6 +18,13 @@ def require_fit(policy: Policy, dataset: Dataset) -> None:
             f"{type(policy.actor).__name__}: remembers earlier steps, and estimates ask for actions at single states; "
             "play such a policy with `odaf evaluate`"
         )
+    require_same_columns(policy, dataset)
+    if dataset.num_episodes < 2:
+        raise DatasetError("the log has a single episode, and intervals are over episodes; log more of them")
+
+
+def require_same_columns(policy: Policy, dataset: Dataset) -> None:
+    """Raises `DatasetError` unless names, widths and action bounds of the log are the policy's."""
     for what, mine, theirs in (
         ("observations", policy.observation_names, dataset.observation_names),
         ("actions", policy.action_names, dataset.action_names),
@@ -40,8 +47,6 @@ def require_fit(policy: Policy, dataset: Dataset) -> None:
             f"{dataset.action_low.tolist()} to {dataset.action_high.tolist()}; set the hold-out aside from one log "
             "with `odaf data split`, or read it with action_bounds="
         )
-    if dataset.num_episodes < 2:
-        raise DatasetError("the log has a single episode, and intervals are over episodes; log more of them")
 
 
 def why_unweighed(actor: Actor, acting: Acting) -> str:
