@@ -195,7 +195,9 @@ def test_without_an_environment_train_says_so_and_evaluate_asks_for_one(
     data, out = write_data(tmp_path / "plant.h5", None), tmp_path / "run"
     words = ["train", "behaviour-cloning", "--data", str(data), "--out", str(out), "--steps", "6"]
     assert main([*words, *CLONING]) == 0
-    assert "policies are not evaluated" in capsys.readouterr().err
+    printed = capsys.readouterr()
+    assert "policies are not evaluated" in printed.err
+    assert f"odaf assess {out} --data HOLDOUT" in printed.out
     assert main(["evaluate", str(out)]) == 2
     assert "--env" in capsys.readouterr().err
 

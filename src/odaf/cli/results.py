@@ -111,12 +111,15 @@ def print_run(run: "Run") -> None:
     print(run_table(summaries))
     if len(summaries) > 1 and all(summary.get("evaluation") for summary in summaries.values()):
         print(f"\n{run.scores()}")
-    if all(summary.get("evaluation") for summary in summaries.values()):
+    scored = all(summary.get("evaluation") for summary in summaries.values())
+    if scored:
         print(played_in(run.scores()).lstrip("\n"))
     for seed, summary in summaries.items():
         for warning in summary["warnings"]:
             print(f"\nwarning, seed {seed}: {warning['message']}")
     print(f"\nThe run is in {run.directory}; draw it with: odaf report {quoted(run.directory)} --out report.html")
+    if not scored:
+        print(f"Whether its policy may run, judged from a hold-out alone: odaf assess {quoted(run.directory)} --data HOLDOUT")
 
 
 def print_runs(runs: Sequence["Run"], folder: Path) -> None:
@@ -143,6 +146,8 @@ def print_runs(runs: Sequence["Run"], folder: Path) -> None:
             for warning in summary["warnings"]:
                 print(f"\nwarning, {run.directory}, seed {seed}: {warning['message']}")
     print(f"\nThe runs are in {folder}; draw them with: odaf report {quoted(folder)} --out report.html")
+    if not all(summary.get("evaluation") for run in runs for summary in run.summary.values()):
+        print(f"Which of them to deploy, judged from a hold-out alone: odaf select {quoted(folder)} --data HOLDOUT")
 
 
 def print_report(report: "Report") -> None:
