@@ -30,6 +30,14 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, PyTree
 
 from odaf.algorithms import citations
 from odaf.algorithms.base import Algorithm, LearnerState, Metrics
+from odaf.algorithms.ranges import (
+    require_counts,
+    require_not_negative,
+    require_order,
+    require_positive,
+    require_temporal_difference,
+    require_unit_interval,
+)
 from odaf.components.adam import initial_moments
 from odaf.components.critics import CriticEnsemble, init_critics, over_members
 from odaf.components.losses import td_loss, temperature_loss
@@ -41,7 +49,6 @@ from odaf.components.trained import Trained
 from odaf.data.spec import Spec
 from odaf.data.transitions import Transitions
 from odaf.data.view import View
-from odaf.errors import ConfigError
 
 LOG_STD_MIN, LOG_STD_MAX = math.log(1e-5), math.log(10.0)
 LARGEST_ACTION = 1.0 - 1e-6  # logged actions are cut to plus or minus this
@@ -114,22 +121,12 @@ class ATAC(Algorithm[ATACState]):
     """Added to the standard deviations that observations are divided by, in their own units."""
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.discount < 1.0:
-            raise ConfigError(f"discount={self.discount} must lie in [0, 1)")
-        if not 0.0 < self.target_rate <= 1.0:
-            raise ConfigError(f"target_rate={self.target_rate} must lie in (0, 1]: the share that moves each update")
-        if not 0.0 <= self.residual_weight <= 1.0:
-            raise ConfigError(f"residual_weight={self.residual_weight} must lie in [0, 1]: a share of Bellman's error")
-        for field in ("bellman_weight", "weight_norm", "initial_temperature"):
-            if not getattr(self, field) > 0.0:
-                raise ConfigError(f"{field}={getattr(self, field)} must be positive")
-        if self.batch_size < 1:
-            raise ConfigError(f"batch_size={self.batch_size} must be at least 1")
-        for field in ("warm_start_updates", "normaliser_epsilon"):
-            if getattr(self, field) < 0:
-                raise ConfigError(f"{field}={getattr(self, field)} must not be negative")
-        if self.value_min is not None and self.value_max is not None and self.value_min >= self.value_max:
-            raise ConfigError(f"value_min={self.value_min} must be below value_max={self.value_max}")
+        require_temporal_difference(self)
+        require_unit_interval(self, "residual_weight", "a share of Bellman's error")
+        require_positive(self, ("bellman_weight", "weight_norm", "initial_temperature"))
+        require_counts(self, ["batch_size"])
+        require_not_negative(self, ("warm_start_updates", "normaliser_epsilon"))
+        require_order(self, "value_min", "value_max")
 
     def citations(self) -> tuple[citations.Citation, ...]:
         """ATAC."""

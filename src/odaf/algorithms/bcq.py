@@ -29,6 +29,12 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray, PyTree
 
 from odaf.algorithms import citations
 from odaf.algorithms.base import Algorithm, LearnerState, Metrics
+from odaf.algorithms.ranges import (
+    require_counts,
+    require_not_negative,
+    require_temporal_difference,
+    require_unit_interval,
+)
 from odaf.components.behaviour_models import BehaviourCVAE, init_behaviour_cvae
 from odaf.components.candidates import best_soft_value, fixed_normal
 from odaf.components.critics import CriticEnsemble, init_critics
@@ -104,19 +110,12 @@ class BCQ(Algorithm[BCQState]):
     """Added to the standard deviations that observations are divided by, in their own units."""
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.discount < 1.0:
-            raise ConfigError(f"discount={self.discount} must lie in [0, 1)")
-        if not 0.0 < self.target_rate <= 1.0:
-            raise ConfigError(f"target_rate={self.target_rate} must lie in (0, 1]: the share that moves each update")
+        require_temporal_difference(self)
         if not 0.0 <= self.perturbation <= 2.0:
             raise ConfigError(f"perturbation={self.perturbation} must lie in [0, 2], the width of an action's range")
-        if not 0.0 <= self.lowest_weight <= 1.0:
-            raise ConfigError(f"lowest_weight={self.lowest_weight} must lie in [0, 1]")
-        for field in ("num_actions", "num_candidates", "batch_size"):
-            if getattr(self, field) < 1:
-                raise ConfigError(f"{field}={getattr(self, field)} must be at least 1")
-        if self.normaliser_epsilon < 0.0:
-            raise ConfigError(f"normaliser_epsilon={self.normaliser_epsilon} must not be negative")
+        require_unit_interval(self, "lowest_weight")
+        require_counts(self, ("num_actions", "num_candidates", "batch_size"))
+        require_not_negative(self, ["normaliser_epsilon"])
 
     def citations(self) -> tuple[citations.Citation, ...]:
         """BCQ."""

@@ -31,6 +31,13 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray, PyTree
 
 from odaf.algorithms import citations
 from odaf.algorithms.base import Algorithm, LearnerState, Metrics
+from odaf.algorithms.ranges import (
+    require_counts,
+    require_not_negative,
+    require_positive,
+    require_temporal_difference,
+    require_unit_interval,
+)
 from odaf.components.behaviour_models import BehaviourCVAE, init_behaviour_cvae
 from odaf.components.candidates import best_soft_value, fixed_normal
 from odaf.components.critics import CriticEnsemble, init_critics
@@ -46,7 +53,6 @@ from odaf.components.trained import Trained
 from odaf.data.spec import Spec
 from odaf.data.transitions import Transitions
 from odaf.data.view import View
-from odaf.errors import ConfigError
 
 
 class BEARState(LearnerState):
@@ -113,20 +119,11 @@ class BEAR(Algorithm[BEARState]):
     """Added to the standard deviations that observations are divided by, in their own units."""
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.discount < 1.0:
-            raise ConfigError(f"discount={self.discount} must lie in [0, 1)")
-        if not 0.0 < self.target_rate <= 1.0:
-            raise ConfigError(f"target_rate={self.target_rate} must lie in (0, 1]: the share that moves each update")
-        if self.kernel_width <= 0.0:
-            raise ConfigError(f"kernel_width={self.kernel_width} must be positive")
-        if not 0.0 <= self.lowest_weight <= 1.0:
-            raise ConfigError(f"lowest_weight={self.lowest_weight} must lie in [0, 1]")
-        for field in ("num_draws", "num_actions", "num_candidates", "batch_size"):
-            if getattr(self, field) < 1:
-                raise ConfigError(f"{field}={getattr(self, field)} must be at least 1")
-        for field in ("threshold", "warm_up_steps", "normaliser_epsilon"):
-            if getattr(self, field) < 0:
-                raise ConfigError(f"{field}={getattr(self, field)} must not be negative")
+        require_temporal_difference(self)
+        require_positive(self, ["kernel_width"])
+        require_unit_interval(self, "lowest_weight")
+        require_counts(self, ("num_draws", "num_actions", "num_candidates", "batch_size"))
+        require_not_negative(self, ("threshold", "warm_up_steps", "normaliser_epsilon"))
 
     def citations(self) -> tuple[citations.Citation, ...]:
         """BEAR."""

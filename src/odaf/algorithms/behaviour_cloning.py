@@ -17,13 +17,13 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray, PyTree
 
 from odaf.algorithms import citations
 from odaf.algorithms.base import Algorithm, LearnerState, Metrics
+from odaf.algorithms.ranges import require_counts, require_not_negative
 from odaf.components.distributions import gaussian_log_density
 from odaf.components.policies import Actor, DeterministicActor, UnsquashedGaussianActor, init_deterministic_actor
 from odaf.components.trained import Trained
 from odaf.data.spec import Spec
 from odaf.data.transitions import Transitions
 from odaf.data.view import View
-from odaf.errors import ConfigError
 
 
 class CloningState(LearnerState):
@@ -61,10 +61,8 @@ class BehaviourCloning(Algorithm[CloningState]):
     units of no account."""
 
     def __post_init__(self) -> None:
-        if self.batch_size < 1:
-            raise ConfigError(f"batch_size={self.batch_size} must be at least 1")
-        if self.normaliser_epsilon < 0.0:
-            raise ConfigError(f"normaliser_epsilon={self.normaliser_epsilon} must not be negative")
+        require_counts(self, ["batch_size"])
+        require_not_negative(self, ["normaliser_epsilon"])
 
     def view(self) -> View:
         """Single rows; rewards do not matter."""

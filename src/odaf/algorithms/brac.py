@@ -29,6 +29,7 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray, PyTree
 
 from odaf.algorithms import citations
 from odaf.algorithms.base import Algorithm, LearnerState, Metrics, PretrainProgress
+from odaf.algorithms.ranges import require_counts, require_not_negative, require_temporal_difference
 from odaf.components.behaviour_models import BehaviourConfig, fit_gaussian, init_gaussian, log_density_inside
 from odaf.components.critics import CriticEnsemble, init_critics
 from odaf.components.discrepancy import squared_discrepancy
@@ -114,18 +115,11 @@ class BRAC(Algorithm[BRACState]):
     """Added to the standard deviations that observations are divided by, in their own units."""
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.discount < 1.0:
-            raise ConfigError(f"discount={self.discount} must lie in [0, 1)")
-        if not 0.0 < self.target_rate <= 1.0:
-            raise ConfigError(f"target_rate={self.target_rate} must lie in (0, 1]: the share that moves each update")
+        require_temporal_difference(self)
         if not 0.0 <= self.weight <= LARGEST_WEIGHT:
             raise ConfigError(f"weight={self.weight} must lie in [0, {LARGEST_WEIGHT:g}]")
-        for field in ("num_draws", "batch_size"):
-            if getattr(self, field) < 1:
-                raise ConfigError(f"{field}={getattr(self, field)} must be at least 1")
-        for field in ("warm_up_steps", "normaliser_epsilon"):
-            if getattr(self, field) < 0:
-                raise ConfigError(f"{field}={getattr(self, field)} must not be negative")
+        require_counts(self, ("num_draws", "batch_size"))
+        require_not_negative(self, ("warm_up_steps", "normaliser_epsilon"))
 
     def citations(self) -> tuple[citations.Citation, ...]:
         """BRAC."""

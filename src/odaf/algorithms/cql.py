@@ -30,6 +30,14 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray, PyTree
 
 from odaf.algorithms import citations
 from odaf.algorithms.base import Algorithm, LearnerState, Metrics, PretrainProgress
+from odaf.algorithms.ranges import (
+    require_counts,
+    require_not_negative,
+    require_order,
+    require_positive,
+    require_reward_scale,
+    require_temporal_difference,
+)
 from odaf.algorithms.return_scale import scale_of_returns
 from odaf.components.candidates import best_soft_value
 from odaf.components.chunks import gradient_over_chunks
@@ -46,7 +54,6 @@ from odaf.data.normalisation import Normaliser
 from odaf.data.spec import Spec
 from odaf.data.transitions import Transitions
 from odaf.data.view import View
-from odaf.errors import ConfigError
 
 HIDDEN_GAIN, OUTPUT_GAIN = math.sqrt(2.0), 0.01  # of the critics' orthogonal layers; the actor's head has the latter
 LOG_STD_MIN, LOG_STD_MAX, LOG_STD_OFFSET = -20.0, 2.0, -1.0
@@ -124,23 +131,12 @@ class CQL(Algorithm[CQLState]):
     """Added to the standard deviations that observations are divided by, in their own units."""
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.discount < 1.0:
-            raise ConfigError(f"discount={self.discount} must lie in [0, 1)")
-        if not 0.0 < self.target_rate <= 1.0:
-            raise ConfigError(f"target_rate={self.target_rate} must lie in (0, 1]: the share that moves each update")
-        if not isinstance(self.reward_scale, str) and not 0.0 < self.reward_scale < math.inf:
-            raise ConfigError(f"reward_scale={self.reward_scale} must be positive, or 'returns'")
-        for field in ("penalty_temperature", "initial_temperature"):
-            if not getattr(self, field) > 0.0:
-                raise ConfigError(f"{field}={getattr(self, field)} must be positive")
-        for field in ("num_actions", "backup_actions", "batch_size"):
-            if getattr(self, field) < 1:
-                raise ConfigError(f"{field}={getattr(self, field)} must be at least 1")
-        for field in ("conservative_weight", "cloning_updates", "normaliser_epsilon"):
-            if getattr(self, field) < 0:
-                raise ConfigError(f"{field}={getattr(self, field)} must not be negative")
-        if self.gap_min is not None and self.gap_max is not None and self.gap_min >= self.gap_max:
-            raise ConfigError(f"gap_min={self.gap_min} must be below gap_max={self.gap_max}")
+        require_temporal_difference(self)
+        require_reward_scale(self, "or 'returns'")
+        require_positive(self, ("penalty_temperature", "initial_temperature"))
+        require_counts(self, ("num_actions", "backup_actions", "batch_size"))
+        require_not_negative(self, ("conservative_weight", "cloning_updates", "normaliser_epsilon"))
+        require_order(self, "gap_min", "gap_max")
 
     def citations(self) -> tuple[citations.Citation, ...]:
         """CQL, and SAC that it stands on."""

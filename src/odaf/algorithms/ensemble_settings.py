@@ -1,12 +1,19 @@
 """The settings of the ensemble soft actor-critic, each with the line that becomes its help text."""
 
 import dataclasses
-import math
 from typing import ClassVar, Literal
 
 from odaf.algorithms.base import Algorithm
 from odaf.algorithms.ensemble_state import EnsembleState
 from odaf.algorithms.numbers import is_off
+from odaf.algorithms.ranges import (
+    require_counts,
+    require_discount,
+    require_not_negative,
+    require_positive,
+    require_reward_scale,
+    require_shares,
+)
 from odaf.algorithms.terms.base import Term
 from odaf.components.networks import Products
 from odaf.errors import ConfigError
@@ -83,29 +90,18 @@ class EnsembleSettings(Algorithm[EnsembleState]):
     """Additions to the losses."""
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.discount < 1.0:
-            raise ConfigError(f"discount={self.discount} must lie in [0, 1)")
+        require_discount(self)
         if self.num_critics < 2:
             raise ConfigError(f"num_critics={self.num_critics}: an ensemble needs at least 2")
-        if self.initial_temperature <= 0.0:
-            raise ConfigError(f"initial_temperature={self.initial_temperature} must be positive")
-        for field in ("target_rate", "slow_actor_rate"):
-            if not 0.0 < getattr(self, field) <= 1.0:
-                raise ConfigError(
-                    f"{field}={getattr(self, field)} must lie in (0, 1]: the share that moves each update"
-                )
+        require_positive(self, ["initial_temperature"])
+        require_shares(self, ("target_rate", "slow_actor_rate"))
         if self.target_entropy == "log" and self.warm_start == "none":
             raise ConfigError(
                 "target_entropy='log' is measured by the warm start; set warm_start='returns' or a number"
             )
-        if not isinstance(self.reward_scale, str) and not 0.0 < self.reward_scale < math.inf:
-            raise ConfigError(f"reward_scale={self.reward_scale} must be positive, 'auto' or 'unit'")
-        for field in ("prior_scale", "target_deviations", "normaliser_epsilon"):
-            if getattr(self, field) < 0.0:
-                raise ConfigError(f"{field}={getattr(self, field)} must not be negative")
-        for field in ("batch_size", "return_steps", "warm_start_steps"):
-            if getattr(self, field) < 1:
-                raise ConfigError(f"{field}={getattr(self, field)} must be at least 1")
+        require_reward_scale(self, "'auto' or 'unit'")
+        require_not_negative(self, ("prior_scale", "target_deviations", "normaliser_epsilon"))
+        require_counts(self, ("batch_size", "return_steps", "warm_start_steps"))
         if any(width < 1 for width in self.hidden_sizes):
             raise ConfigError(f"hidden_sizes={self.hidden_sizes} must hold widths of at least 1")
         for term in self.active_terms:

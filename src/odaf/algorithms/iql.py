@@ -29,6 +29,13 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray, PyTree
 
 from odaf.algorithms import citations
 from odaf.algorithms.base import Algorithm, LearnerState, Metrics, PretrainProgress
+from odaf.algorithms.ranges import (
+    require_counts,
+    require_not_negative,
+    require_positive,
+    require_reward_scale,
+    require_temporal_difference,
+)
 from odaf.algorithms.return_scale import scale_of_returns
 from odaf.components.adam import falling_rate
 from odaf.components.critics import CriticEnsemble
@@ -129,19 +136,11 @@ class IQL(Algorithm[IQLState]):
     def __post_init__(self) -> None:
         if not 0.0 < self.expectile < 1.0:
             raise ConfigError(f"expectile={self.expectile} must lie in (0, 1): 0.5 is the mean, towards 1 the best")
-        if not 0.0 <= self.discount < 1.0:
-            raise ConfigError(f"discount={self.discount} must lie in [0, 1)")
-        if not 0.0 < self.target_rate <= 1.0:
-            raise ConfigError(f"target_rate={self.target_rate} must lie in (0, 1]: the share that moves each update")
-        if not isinstance(self.reward_scale, str) and not 0.0 < self.reward_scale < math.inf:
-            raise ConfigError(f"reward_scale={self.reward_scale} must be positive, or 'returns'")
-        if self.weight_cap <= 0.0:
-            raise ConfigError(f"weight_cap={self.weight_cap} must be positive")
-        if self.batch_size < 1:
-            raise ConfigError(f"batch_size={self.batch_size} must be at least 1")
-        for field in ("inverse_temperature", "actor_decay_updates", "normaliser_epsilon"):
-            if getattr(self, field) < 0.0:
-                raise ConfigError(f"{field}={getattr(self, field)} must not be negative")
+        require_temporal_difference(self)
+        require_reward_scale(self, "or 'returns'")
+        require_positive(self, ["weight_cap"])
+        require_counts(self, ["batch_size"])
+        require_not_negative(self, ("inverse_temperature", "actor_decay_updates", "normaliser_epsilon"))
 
     def can_be_padded(self) -> bool:
         """Yes: what it averages and draws is of own dimensions."""

@@ -27,6 +27,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from odaf.algorithms import citations
 from odaf.algorithms.base import Metrics, PretrainProgress
+from odaf.algorithms.ranges import require_positive, require_unit_interval
 from odaf.algorithms.twin_delayed import TwinDelayedState, TwinDelayedWithModel
 from odaf.components.critics import CriticEnsemble
 from odaf.components.dynamics import DynamicsConfig, DynamicsModel, fit_dynamics, untrained
@@ -37,7 +38,6 @@ from odaf.data.normalisation import Normaliser
 from odaf.data.spec import Spec
 from odaf.data.transitions import Transitions
 from odaf.data.view import View
-from odaf.errors import ConfigError
 
 ACTOR_METRICS = ("actor/loss", "actor/value", "actor/miss", "actor/weight", "actor/capped")
 
@@ -108,10 +108,8 @@ class SCAS(TwinDelayedWithModel):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not 0.0 <= self.correction <= 1.0:
-            raise ConfigError(f"correction={self.correction} must lie in [0, 1]: the value has the rest")
-        if self.weight_cap <= 0.0:
-            raise ConfigError(f"weight_cap={self.weight_cap} must be positive")
+        require_unit_interval(self, "correction", "the value has the rest")
+        require_positive(self, ["weight_cap"])
 
     def citations(self) -> tuple[citations.Citation, ...]:
         """SCAS."""

@@ -29,6 +29,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from odaf.algorithms import citations
 from odaf.algorithms.base import Metrics, PretrainProgress
+from odaf.algorithms.ranges import require_positive
 from odaf.algorithms.twin_delayed import TwinDelayedState, TwinDelayedWithModel
 from odaf.components.behaviour_models import BehaviourConfig, fit_clone
 from odaf.components.critics import CriticEnsemble, over_members
@@ -40,7 +41,6 @@ from odaf.data.dataset import Dataset
 from odaf.data.normalisation import Normaliser
 from odaf.data.spec import Spec
 from odaf.data.transitions import Transitions
-from odaf.errors import ConfigError
 
 PENALTY_FLOOR = -1e4  # of what R averages
 VALUE_WEIGHT = 2.5  # of the actor's only loss
@@ -136,8 +136,7 @@ class SVR(TwinDelayedWithModel):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.support_noise <= 0.0:
-            raise ConfigError(f"support_noise={self.support_noise} must be positive")
+        require_positive(self, ["support_noise"])
 
     def citations(self) -> tuple[citations.Citation, ...]:
         """SVR."""

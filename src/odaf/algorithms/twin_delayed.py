@@ -17,6 +17,7 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray, PyTree
 
 from odaf.algorithms.base import Algorithm, LearnerState, Metrics
 from odaf.algorithms.numbers import is_off
+from odaf.algorithms.ranges import require_counts, require_not_negative, require_temporal_difference
 from odaf.components.adam import falling_rate
 from odaf.components.critics import CriticEnsemble, init_critics
 from odaf.components.losses import ensemble_td_gradient
@@ -28,7 +29,6 @@ from odaf.components.trained import Trained
 from odaf.data.spec import Spec
 from odaf.data.transitions import Transitions
 from odaf.data.view import View
-from odaf.errors import ConfigError
 
 Act = Callable[[DeterministicActor, Float[Array, "rows obs_dim"]], Float[Array, "rows act_dim"]]
 ActorLoss = Callable[[DeterministicActor, CriticEnsemble], tuple[Float[Array, ""], Metrics]]
@@ -88,16 +88,9 @@ class TwinDelayed(Algorithm[TwinDelayedState]):
     """Added to the standard deviations that observations are divided by, in their own units."""
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.discount < 1.0:
-            raise ConfigError(f"discount={self.discount} must lie in [0, 1)")
-        if not 0.0 < self.target_rate <= 1.0:
-            raise ConfigError(f"target_rate={self.target_rate} must lie in (0, 1]: the share that moves each time")
-        for field in ("actor_delay", "batch_size"):
-            if getattr(self, field) < 1:
-                raise ConfigError(f"{field}={getattr(self, field)} must be at least 1")
-        for field in (*self.not_negative, "target_noise", "noise_clip", "normaliser_epsilon"):
-            if getattr(self, field) < 0.0:
-                raise ConfigError(f"{field}={getattr(self, field)} must not be negative")
+        require_temporal_difference(self)
+        require_counts(self, ("actor_delay", "batch_size"))
+        require_not_negative(self, (*self.not_negative, "target_noise", "noise_clip", "normaliser_epsilon"))
 
     def view(self) -> View:
         """Single rows; papers add 1e-3 to the spreads."""
@@ -193,10 +186,8 @@ class TwinDelayedWithModel(TwinDelayed):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.num_critics < 1:
-            raise ConfigError(f"num_critics={self.num_critics} must be at least 1")
-        if self.actor_decay_updates < 0:
-            raise ConfigError(f"actor_decay_updates={self.actor_decay_updates} must not be negative")
+        require_counts(self, ["num_critics"])
+        require_not_negative(self, ["actor_decay_updates"])
 
     def begin(
         self,

@@ -117,9 +117,10 @@ def print_run(run: "Run") -> None:
     for seed, summary in summaries.items():
         for warning in summary["warnings"]:
             print(f"\nwarning, seed {seed}: {warning['message']}")
-    print(f"\nThe run is in {run.directory}; draw it with: odaf report {quoted(run.directory)} --out report.html")
+    place = quoted(run.directory)
+    print(f"\nThe run is in {run.directory}; draw it with: odaf report {place} --out report.html")
     if not scored:
-        print(f"Whether its policy may run, judged from a hold-out alone: odaf assess {quoted(run.directory)} --data HOLDOUT")
+        print(f"Whether its policy may run, judged from a hold-out alone: odaf assess {place} --data HOLDOUT")
 
 
 def print_runs(runs: Sequence["Run"], folder: Path) -> None:
