@@ -1,12 +1,13 @@
 """`odaf estimate RUN --data HOLDOUT`: what a policy is worth, from a log alone."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
 
 from odaf.cli.bars import share_bar
+from odaf.cli.estimator_options import EstimatorOptions
 from odaf.cli.options import parse
 from odaf.cli.outputs import VALUATION, check_outputs
 from odaf.cli.spelling import spelled
@@ -32,26 +33,11 @@ class EstimateOptions:
     """Data set that the policy did not learn from, as `odaf data split --holdout` writes it."""
     method: Literal["fqe", "model", "blend", "wis", "pdis", "dr", "all"] = "all"
     """Estimator to ask."""
-    acting: Literal["mode", "draws"] = "mode"
-    """Actions to judge: `mode`, those that a deployed policy takes, or `draws`, a stochastic policy that draws them."""
-    discount: float = 1.0
-    """Weight of a reward one step later; 1 gives plain sums."""
-    horizon: Annotated[int | None, tyro.conf.arg(metavar="INT")] = None
-    """Steps of an episode to count; without it, what the log shows: the median length of recordings that were cut, or
-    the longest episode if none was."""
-    log_probs: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
-    """Column of the data's infos with the log-density of each logged action in nats, such as action_log_probs; without
-    it, the density is estimated."""
     training_seed: Annotated[int | None, tyro.conf.arg(metavar="INT")] = None
     """Seed of the run whose policy to judge; without it, the first."""
     step: Annotated[int | None, tyro.conf.arg(metavar="INT")] = None
     """Checkpoint to take, by its number of updates; without it, the last."""
-    seed: int = 0
-    """Of the fits and of resampled episodes; equal seeds give equal estimates."""
-    steps: int = 20_000
-    """Gradient steps of each fit, at most."""
-    members: int = 8
-    """Networks of fitted Q and of the model, each with resampled episodes of its own."""
+    how: Annotated[EstimatorOptions, tyro.conf.arg(name="")] = field(default_factory=EstimatorOptions)
     json: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """File to write every number to."""
     force: bool = False
@@ -74,15 +60,9 @@ def run(arguments: list[str]) -> None:
             options.run,
             dataset,
             method=options.method,
-            acting=options.acting,
-            discount=options.discount,
-            horizon=options.horizon,
-            log_probs=options.log_probs,
             training_seed=options.training_seed,
             step=options.step,
-            seed=options.seed,
-            steps=options.steps,
-            members=options.members,
+            **vars(options.how),
             progress=progress,
         )
     print(spelled(str(found)))

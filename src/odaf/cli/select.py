@@ -1,12 +1,13 @@
 """`odaf select RUN... --data HOLDOUT`: the best run and checkpoint, from a log alone."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
 
 from odaf.cli.bars import share_bar
+from odaf.cli.estimator_options import EstimatorOptions
 from odaf.cli.options import parse
 from odaf.cli.outputs import SELECTION, check_outputs
 from odaf.cli.spelling import spelled
@@ -31,20 +32,7 @@ class SelectOptions:
     """Estimator that chooses."""
     checkpoints: Literal["all", "last"] = "all"
     """Checkpoints to choose among: all that a run keeps, or the last of each seed."""
-    acting: Literal["mode", "draws"] = "mode"
-    """Actions to judge: `mode`, those that a deployed policy takes, or `draws`, a stochastic policy that draws them."""
-    discount: float = 1.0
-    """Weight of a reward one step later; 1 gives plain sums."""
-    horizon: Annotated[int | None, tyro.conf.arg(metavar="INT")] = None
-    """Steps of an episode to count; without it, what the log shows."""
-    log_probs: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
-    """Column of the data's infos with the log-density of each logged action in nats; without it, it is estimated."""
-    seed: int = 0
-    """Of the fits and of resampled episodes; equal seeds give equal choices."""
-    steps: int = 20_000
-    """Gradient steps of each fit, at most."""
-    members: int = 8
-    """Networks of fitted Q and of the model, each with resampled episodes of its own."""
+    how: Annotated[EstimatorOptions, tyro.conf.arg(name="")] = field(default_factory=EstimatorOptions)
     json: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """File to write every number to."""
     force: bool = False
@@ -68,13 +56,7 @@ def run(arguments: list[str]) -> None:
             dataset,
             method=options.method,
             checkpoints=options.checkpoints,
-            acting=options.acting,
-            discount=options.discount,
-            horizon=options.horizon,
-            log_probs=options.log_probs,
-            seed=options.seed,
-            steps=options.steps,
-            members=options.members,
+            **vars(options.how),
             progress=progress,
         )
     print(spelled(str(found)))
