@@ -288,8 +288,11 @@ def _parameters(modules: dict[str, Any]) -> dict[str, np.ndarray]:
 # ---- training --------------------------------------------------------------------------------------------------------
 
 
-def train(name: str, data: Path, out: Path, seed: int, updates: int) -> None:
-    """Trains d3rlpy's learner as its users do, with its own way of drawing batches, and writes weights and seconds."""
+def train(name: str, data: Path, out: Path, seed: int, updates: int, every: int) -> None:
+    """Trains d3rlpy's learner as its users do, with its own way of drawing batches.
+
+    Writes OUT-UPDATES.npz after every so many updates: the weights, and the seconds until then.
+    """
     torch.set_num_threads(1)
     d3rlpy.seed(seed)
     with np.load(data, allow_pickle=False) as file:
@@ -304,22 +307,25 @@ def train(name: str, data: Path, out: Path, seed: int, updates: int) -> None:
         scalers["reward_scaler"] = d3rlpy.preprocessing.MultiplyRewardScaler(float(columns["reward_scale"]))
     learner = configured(name, settings, **scalers)
     learner.build_with_dataset(rows)
-    start, cpu_start = time.perf_counter(), time.process_time()
-    for number in range(updates):
-        learner.update(rows.sample_transition_batch(settings["batch_size"]))
-        if number % 1000 == 999:
-            print(f"{name} seed {seed}: {number + 1} updates, {time.perf_counter() - start:.0f} s", flush=True)
-    seconds, cpu_seconds = time.perf_counter() - start, time.process_time() - cpu_start
-    content: dict[str, Any] = _parameters(learner.impl.modules.get_torch_modules())
-    if not all(math.isfinite(float(np.sum(value))) for value in content.values()):
-        raise SystemExit(f"{name}: weights are not finite")
-    about = {
-        "seconds": seconds,
-        "cpu_seconds": cpu_seconds,
-        "peer": f"d3rlpy {d3rlpy.__version__}",
-        "torch": torch.__version__,
-    }
-    np.savez_compressed(out, about=np.frombuffer(json.dumps(about).encode(), np.uint8), **content)
+    seconds = cpu_seconds = 0.0
+    for done in range(every, updates + 1, every):
+        start, cpu_start = time.perf_counter(), time.process_time()
+        for _ in range(every):
+            learner.update(rows.sample_transition_batch(settings["batch_size"]))
+        seconds += time.perf_counter() - start
+        cpu_seconds += time.process_time() - cpu_start
+        print(f"{name} seed {seed}: {done} updates, {seconds:.0f} s", flush=True)
+        content: dict[str, Any] = _parameters(learner.impl.modules.get_torch_modules())
+        if not all(math.isfinite(float(np.sum(value))) for value in content.values()):
+            raise SystemExit(f"{name}: weights are not finite after {done} updates")
+        about = {
+            "seconds": seconds,
+            "cpu_seconds": cpu_seconds,
+            "peer": f"d3rlpy {d3rlpy.__version__}",
+            "torch": torch.__version__,
+        }
+        written = np.frombuffer(json.dumps(about).encode(), np.uint8)
+        np.savez_compressed(out.with_name(f"{out.name}-{done}.npz"), about=written, **content)
 
 
 def main() -> None:
@@ -331,11 +337,12 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--data", type=Path)
     parser.add_argument("--updates", type=int, default=20_000)
+    parser.add_argument("--every", type=int, default=2_500)
     options = parser.parse_args()
     if options.what == "export":
         export(options.learner, options.out, options.seed)
     else:
-        train(options.learner, options.data, options.out, options.seed, options.updates)
+        train(options.learner, options.data, options.out, options.seed, options.updates, options.every)
 
 
 if __name__ == "__main__":

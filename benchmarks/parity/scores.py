@@ -1,8 +1,8 @@
 """Scores of d3rlpy's learners and of ours: the same rows, settings, number of updates and evaluator, on one core.
 
 Each run leaves one JSON file, and a run that has left one is not made again. The policies of both sides are played by
-our evaluator; d3rlpy's weights are copied into an actor of ours. Seconds are those of the processor, of
-training alone: on our side with compilation, on d3rlpy's with its own way of drawing batches.
+our evaluator, after every `EVERY` updates; d3rlpy's weights are copied into an actor of ours. Seconds are those of the
+processor, of training alone: on our side with compilation, on d3rlpy's with its own way of drawing batches.
 """
 
 import json
@@ -36,6 +36,7 @@ from odaf.training.policy import Policy
 FOLDER = Path(__file__).with_name("scores")
 ROOT = Path(__file__).resolve().parents[2]
 EPISODES = 20
+EVERY = 2_500  # updates between two policies that are played
 CANDIDATES = 100  # draws that BCQ and BEAR act with the best of
 SIDES = ("odaf", "d3rlpy")
 
@@ -45,8 +46,11 @@ def ours(name: str) -> Any:
     return presets.load(name, {**LEARNERS[name], "normaliser_epsilon": NORMALISER_EPSILON})
 
 
-def train_ours(name: str, dataset: odaf.Dataset, seed: int, updates: int, folder: Path) -> tuple[Policy, dict]:
-    """A policy and how long its training took."""
+Policies = dict[int, Policy]  # by the updates made
+
+
+def train_ours(name: str, dataset: odaf.Dataset, seed: int, updates: int, folder: Path) -> tuple[Policies, dict]:
+    """Its policies and how long the training took."""
     start, cpu_start = time.perf_counter(), time.process_time()
     run = odaf.fit(
         ours(name),
@@ -54,16 +58,18 @@ def train_ours(name: str, dataset: odaf.Dataset, seed: int, updates: int, folder
         directory=folder / "run",
         steps=updates,
         seeds=(seed,),
-        checkpoint_every=updates,
+        checkpoint_every=min(EVERY, updates),
+        keep_checkpoints="all",
         progress=False,
     )
     seconds = {"seconds": time.perf_counter() - start, "cpu_seconds": time.process_time() - cpu_start}
-    return run.policy(seed), {**seconds, "version": odaf.__version__}
+    policies = {step: run.policy(seed, step) for step in _steps(updates)}
+    return policies, {**seconds, "version": odaf.__version__}
 
 
 def train_peer(
     name: str, dataset: odaf.Dataset, seed: int, updates: int, folder: Path, python: Path
-) -> tuple[Policy, dict]:
+) -> tuple[Policies, dict]:
     """The same of d3rlpy, in its own interpreter."""
     normaliser = Normaliser.fit(dataset.observations, NORMALISER_EPSILON)
     ends = np.zeros(len(dataset.rewards), bool)
@@ -81,23 +87,31 @@ def train_peer(
         epsilon=NORMALISER_EPSILON,
         reward_scale=1000.0 / (returns.max() - returns.min()),
     )
-    out = folder / "weights.npz"
+    out = folder / "weights"
     command = [python, "-m", "benchmarks.parity.peer", "train", "--learner", name, "--data", folder / "rows.npz"]
-    command += ["--out", out, "--seed", str(seed), "--updates", str(updates)]
+    command += ["--out", out, "--seed", str(seed), "--updates", str(updates), "--every", str(min(EVERY, updates))]
     subprocess.run(command, check=True, cwd=ROOT, env={**os.environ, "OMP_NUM_THREADS": "1"}, stderr=subprocess.DEVNULL)
-    with np.load(out, allow_pickle=False) as file:
-        arrays = {key: file[key] for key in file.files}
-    about = json.loads(arrays.pop("about").tobytes())
-    policy = Policy(
-        actor=actor_of(name, arrays),
-        normaliser=normaliser,
-        action_low=tuple(dataset.action_low.tolist()),
-        action_high=tuple(dataset.action_high.tolist()),
-        observation_names=dataset.observation_names,
-        action_names=dataset.action_names,
-    )
+    policies, about = {}, {}
+    for step in _steps(updates):
+        with np.load(out.with_name(f"{out.name}-{step}.npz"), allow_pickle=False) as file:
+            arrays = {key: file[key] for key in file.files}
+        about = json.loads(arrays.pop("about").tobytes())
+        policies[step] = Policy(
+            actor=actor_of(name, arrays),
+            normaliser=normaliser,
+            action_low=tuple(dataset.action_low.tolist()),
+            action_high=tuple(dataset.action_high.tolist()),
+            observation_names=dataset.observation_names,
+            action_names=dataset.action_names,
+        )
     about["version"] = about.pop("peer")
-    return policy, about
+    return policies, about
+
+
+def _steps(updates: int) -> range:
+    """After how many updates policies are played."""
+    every = min(EVERY, updates)
+    return range(every, updates + 1, every)
 
 
 class UnsquashedPerturbedActor(PerturbedActor):
@@ -147,17 +161,19 @@ def score(name: str, side: str, dataset: odaf.Dataset, seed: int, updates: int, 
     """Trains and plays one run."""
     with tempfile.TemporaryDirectory() as folder:
         if side == "odaf":
-            policy, about = train_ours(name, dataset, seed, updates, Path(folder))
+            policies, about = train_ours(name, dataset, seed, updates, Path(folder))
         else:
             assert python is not None
-            policy, about = train_peer(name, dataset, seed, updates, Path(folder), python)
+            policies, about = train_peer(name, dataset, seed, updates, Path(folder), python)
+        found = {step: played(policy, dataset) for step, policy in policies.items()}
     return {
         "learner": name,
         "side": side,
         "seed": seed,
         "updates": updates,
         **about,
-        **played(policy, dataset),
+        **found[max(found)],
+        "curve": {step: each["normalised_score"] for step, each in found.items()},
         "settings": {**LEARNERS[name], "normaliser_epsilon": NORMALISER_EPSILON},
     }
 
@@ -198,21 +214,47 @@ def main(
 
 
 def table(folder: Path = FOLDER) -> str:
-    """All runs that are there, side by side: the mean score over seeds, each seed's, and seconds."""
+    """All runs that are there, side by side.
+
+    The last policy's score, the mean over seeds and each seed's; the mean of the policies of the second half, each
+    seed's; and seconds. Older files hold the last policy only.
+    """
     runs = [json.loads(path.read_text()) for path in sorted(folder.glob("*.json"))]
+    parts = ["last", "second half"]
     lines = [
-        "| learner | updates | odaf: mean (each seed) | d3rlpy: mean (each seed) | seconds a run: odaf, d3rlpy |",
-        "|---|---|---|---|---|",
+        "| learner | updates | "
+        + " | ".join(f"{side}, {part}" for part in parts for side in SIDES)
+        + " | seconds a run |",
+        "|---" * (3 + 2 * len(parts)) + "|",
     ]
     for name in LEARNERS:
         for updates in sorted({run["updates"] for run in runs if run["learner"] == name}):
-            cells, seconds = [], []
-            for side in SIDES:
-                of_side = [r for r in runs if (r["learner"], r["side"], r["updates"]) == (name, side, updates)]
-                of_side.sort(key=lambda run: run["seed"])
-                scores = [run["normalised_score"] for run in of_side]
-                each = ", ".join(f"{value:.0f}" for value in scores)
-                cells.append(f"{statistics.mean(scores):.1f} ({each})" if scores else "missing")
-                seconds.append(f"{statistics.median(r['cpu_seconds'] for r in of_side):.0f}" if of_side else "-")
-            lines.append(f"| {name} | {updates:,} | {cells[0]} | {cells[1]} | {seconds[0]}, {seconds[1]} |")
+            of_sides = [
+                sorted(
+                    (r for r in runs if (r["learner"], r["side"], r["updates"]) == (name, side, updates)),
+                    key=lambda run: run["seed"],
+                )
+                for side in SIDES
+            ]
+            lasts = [_mean_and_each([run["normalised_score"] for run in of_side]) for of_side in of_sides]
+            halves = [
+                _mean_and_each([half for r in of_side if (half := second_half(r)) is not None]) for of_side in of_sides
+            ]
+            seconds = [
+                f"{statistics.median(r['cpu_seconds'] for r in of_side):.0f}" if of_side else "-"
+                for of_side in of_sides
+            ]
+            lines.append(f"| {name} | {updates:,} | {' | '.join([*lasts, *halves])} | {', '.join(seconds)} |")
     return "\n".join(lines)
+
+
+def second_half(run: dict[str, Any]) -> float | None:
+    """Mean score of the policies after half of the updates, the half itself included."""
+    scores = [score for step, score in run.get("curve", {}).items() if 2 * int(step) >= run["updates"]]
+    return statistics.mean(scores) if scores else None
+
+
+def _mean_and_each(scores: list[float]) -> str:
+    if not scores:
+        return "-"
+    return f"{statistics.mean(scores):.1f} ({', '.join(f'{value:.0f}' for value in scores)})"
