@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import jax.random as jr
 import numpy as np
 import optax
-from jaxtyping import Array, Float, Int, Integer, PRNGKeyArray, PyTree
+from jaxtyping import Array, Bool, Float, Int, Integer, PRNGKeyArray, PyTree
 
 from odaf.components import together
 from odaf.components.adam import adam_step, cosine_fall, initial_moments
@@ -42,13 +42,19 @@ class EarlyStopping:
     """When to stop before the last step, and what to keep then."""
 
     error: OfRows
-    """(model, batch) -> an error for every row. A function of a module, so that it is compiled once."""
+    """(model, batch) -> an error for every row, or with `join` one for every row and member. A function of a module, so
+    that it is compiled once."""
     first: int
     """Row of the columns where the rows begin that the error is measured on."""
     last: int
     """Row before which they end."""
     patience: int
     """Checks in a row without a new lowest mean error, after which fitting stops. There is one after every stretch."""
+    least_gain: float = 0.0
+    """Share of the lowest error by which a new one must be lower to count."""
+    join: Callable[[Any, Any, Bool[Array, " members"]], Any] | None = None
+    """(model now, model kept, which members are better now) -> model to keep: each member stops for itself then, and
+    fitting stops once no member has been better for so many checks. None judges a model as a whole."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -62,7 +68,7 @@ class Fitted(Generic[Model]):
     steps: int
     """Taken; early stopping may keep an earlier model."""
     error: float | None
-    """The lowest mean error that early stopping saw."""
+    """The lowest mean error that early stopping saw; where members stop for themselves, the mean of theirs."""
 
 
 class _Recipe(NamedTuple):
@@ -145,7 +151,7 @@ def fit(
     }
     count = _number(columns[0].shape[0] if rows is None else rows)
 
-    done, means, lowest, best, checks_without_gain = 0, {}, math.inf, None, 0
+    done, means, lowest, best, checks_without_gain = 0, {}, np.asarray(math.inf), None, 0
     while done < steps:
         last = min(done + stretch, steps)
         state, traces = together.call(
@@ -158,14 +164,19 @@ def fit(
         progress(done, steps)
         if stopping is not None:
             current = eqx.combine(state.parameters, fixed)
-            error = float(np.mean(of_rows(stopping.error, current, columns, stopping.first, stopping.last)))
+            errors = np.mean(of_rows(stopping.error, current, columns, stopping.first, stopping.last), axis=0)
+            better = errors < (1.0 - stopping.least_gain) * lowest
+            lowest = np.where(better, errors, lowest)
             checks_without_gain += 1
-            if error < lowest:
-                lowest, best, checks_without_gain = error, copy_of(state.parameters), 0
+            if np.any(better):
+                kept, checks_without_gain = best, 0
+                best = copy_of(state.parameters)
+                if stopping.join is not None and kept is not None:
+                    best = stopping.join(best, kept, jnp.asarray(better))
             if checks_without_gain >= stopping.patience:
                 break
     kept = state.parameters if best is None else best
-    return Fitted(eqx.combine(kept, fixed), means, done, None if stopping is None else lowest)
+    return Fitted(eqx.combine(kept, fixed), means, done, None if stopping is None else float(np.mean(lowest)))
 
 
 def bootstrap_rows(key: PRNGKeyArray, members: int, rows: int, among: int) -> Integer[Array, " entries"]:
