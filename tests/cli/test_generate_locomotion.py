@@ -1,5 +1,6 @@
 """`odaf data generate` for locomotion: names, options that do not apply, what it prints."""
 
+import re
 from pathlib import Path
 from typing import get_args
 
@@ -26,6 +27,13 @@ def test_a_random_set_is_written_with_its_score(tmp_path: Path, capsys: pytest.C
     dataset = Dataset.load(file)
     assert len(dataset) == 500 and dataset.provenance["seed"] == 2
     assert dataset.infos["qpos"].shape == (500, 6)
+
+
+def test_info_says_of_which_edition_a_set_is(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    file = tmp_path / "set.h5"
+    words = ["data", "generate", "halfcheetah-medium", "--transitions", "40", "--edition", "1", "--out", str(file)]
+    assert main(words) == 0 and main(["data", "info", str(file)]) == 0
+    assert re.search(r"^edition +1 of the shipped policies$", capsys.readouterr().out, re.MULTILINE)
 
 
 @pytest.mark.parametrize(

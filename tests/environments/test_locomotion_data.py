@@ -172,10 +172,13 @@ def test_acceptance_notices_a_policy_of_another_level():
     assert right["acceptance"]["passed"] is True and right["findings"] == []
 
 
+EPISODES = {"normalised_error": 0.3, "far_below": 1, "whole_episodes": 100}
+
+
 def test_each_half_of_medium_expert_is_judged_on_its_own():
     """Halves whose mean is right together but wrong one by one are not accepted."""
     low, high = (
-        {"normalised_mean": score, "std": 300.0, "terminal_row_share": 0.0, "largest_action": 1.0}
+        {"normalised_mean": score, "std": 300.0, "terminal_row_share": 0.0, "largest_action": 1.0} | EPISODES
         for score in (20.0, 109.0)
     )
     judged = acceptance_of(TASKS["halfcheetah"], "medium-expert", {"medium": low, "expert": high})
@@ -192,10 +195,27 @@ def test_each_half_of_medium_expert_is_judged_on_its_own():
 @pytest.mark.parametrize(("std", "passed"), [(0.0, True), (533.0, True), (534.0, False)])
 def test_returns_may_spread_up_to_one_and_a_half_times_as_widely_as_published(std, passed):
     """The published set of halfcheetah-medium has 355.75; one and a half times that is 533.6."""
-    figures = {"normalised_mean": 40.68, "std": std, "terminal_row_share": 0.0, "largest_action": 1.0}
+    figures = {"normalised_mean": 40.68, "std": std, "terminal_row_share": 0.0, "largest_action": 1.0} | EPISODES
     judged = acceptance_of(TASKS["halfcheetah"], "medium", {"medium": figures})
     assert judged["passed"] is passed
     assert [check["figure"] for check in judged["checks"] if not check["passed"]] == ([] if passed else ["std"])
+
+
+def test_a_figure_outside_its_limits_comes_with_what_explains_it():
+    """A hundred episodes: 96 earn 11,000, four 1,000. Mean 10,600, standard deviation 10,000 sqrt(0.04 * 0.96) =
+    1,959.6; standard error 195.96, of 12,415.18 between random and expert 1.6 points."""
+    returns = np.repeat(np.r_[np.full(96, 11.0), np.full(4, 1.0)], 1000)
+    ends = np.zeros(100_000, bool)
+    ends[999::1000] = True
+    falls, actions = np.zeros_like(ends), np.ones((100_000, 6))
+    columns = {"rewards": returns, "terminated": falls, "truncated": ends, "actions": actions}
+    figures = statistics_of(columns, TASKS["halfcheetah"], "v4")
+    assert figures["std"] == pytest.approx(1959.592) and figures["far_below"] == 4
+    assert figures["normalised_error"] == pytest.approx(1.57838, rel=1e-5)
+    (spread,) = findings_of(acceptance_of(TASKS["halfcheetah"], "expert", {"expert": figures}))
+    assert spread["message"].startswith("std is 1960 (4 of 100 episodes earn 20% less than the median, or worse), the")
+    mean, _ = findings_of(acceptance_of(TASKS["halfcheetah"], "medium", {"medium": figures}))
+    assert mean["message"].startswith("normalised_mean is 87.64 (standard error 1.6), the")
 
 
 def test_an_earlier_edition_has_the_levels_that_were_others_then():
@@ -206,9 +226,9 @@ def test_an_earlier_edition_has_the_levels_that_were_others_then():
         "earlier": [{"medium": "a", "expert": "y"}, {"medium": "b"}],
     }
     levels = {edition: facts_of_edition(facts, edition) for edition in (None, 1, 2, 3)}
-    assert levels[None] == levels[3] == {"task": "hopper", "medium": "c", "expert": "z"}
-    assert levels[2] == {"task": "hopper", "medium": "b", "expert": "z"}
-    assert levels[1] == {"task": "hopper", "medium": "a", "expert": "y"}
+    assert levels[None] == levels[3] == {"task": "hopper", "medium": "c", "expert": "z", "edition": 3}
+    assert levels[2] == {"task": "hopper", "medium": "b", "expert": "z", "edition": 2}
+    assert levels[1] == {"task": "hopper", "medium": "a", "expert": "y", "edition": 1}
     with pytest.raises(ConfigError, match="edition 4: hopper has editions 1 to 3"):
         facts_of_edition(facts, 4)
 
@@ -224,6 +244,29 @@ def test_the_first_edition_of_halfcheetah_plays_as_it_did():
     assert before is not None and before.startswith("1201d4e4")  # as records name it that were made before the second
     assert policies_print("halfcheetah-medium") != policies_print("halfcheetah-medium", 1)
     assert policies_print("hopper-medium", 1) == policies_print("hopper-medium")
+
+
+@pytest.mark.parametrize(
+    ("kind", "players"),
+    [
+        ("random", None),
+        ("medium", {"medium"}),
+        ("expert", {"expert"}),
+        ("medium-replay", {"replay"}),
+        ("medium-expert", {"medium", "expert"}),
+    ],
+)
+def test_a_set_says_who_played_and_of_which_edition_they_are(kind, players):
+    sets = {edition: generate(f"halfcheetah-{kind}", 40, edition=edition) for edition in (None, 1)}
+    told = {edition: dataset.provenance["policies"] for edition, dataset in sets.items()}
+    if players is None:
+        assert told == {None: {}, 1: {}}
+        return
+    assert [told[edition]["edition"] for edition in (None, 1)] == [2, 1]
+    for edition, each in told.items():
+        facts = shipped(TASKS["halfcheetah"], edition).facts
+        assert each == {name: facts[name] for name in {"edition", "training", *players}}
+    assert ("medium" in players) == (told[None].get("medium") != told[1].get("medium"))
 
 
 def test_without_a_whole_episode_nothing_is_claimed():

@@ -53,6 +53,14 @@ def test_table_has_the_interval_over_seeds_and_says_what_diverged() -> None:
     ]
 
 
+def test_the_table_says_of_which_edition_the_data_are() -> None:
+    record = record_of("odaf", 0, 40.0)
+    record["data"]["edition"] = 1
+    lines = locomotion_study.table([record]).splitlines()[-2:]
+    before = "| hopper-medium | Hopper-v4 | locally generated data, edition 1, abababab | "
+    assert all(line.startswith(before) for line in lines)
+
+
 def test_sets_are_told_apart_by_their_rows_not_by_their_notes() -> None:
     same = [record_of("odaf", 0, 40.0), record_of("odaf", 1, 60.0, fingerprint="cd" * 32)]
     lines = locomotion_study.table(same).splitlines()[-2:]

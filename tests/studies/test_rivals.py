@@ -43,6 +43,10 @@ def test_table_has_the_mean_of_the_last_three_and_its_interval_over_seeds() -> N
 def test_summary_has_each_seed_and_none_where_it_diverged() -> None:
     log = json.loads(rivals.summary(RECORDS))["hopper-mixture-80"]
     assert log["data"] == "locally generated data" and log["log_mean"] == 11.25
+    of_an_edition = [{**record, "data": {**record["data"], "edition": 2}} for record in RECORDS]
+    assert json.loads(rivals.summary(of_an_edition))["hopper-mixture-80"]["data"] == (
+        "locally generated data, edition 2"
+    )
     assert log["methods"]["iql"] == {"updates": 40_000, "by_seed": {"0": 20.0, "1": 40.0}}
     assert log["methods"]["td3-bc"]["by_seed"] == {"0": None}
 

@@ -108,6 +108,9 @@ def test_normalised_records_go_on_after_a_stop_with_the_same_bits(
     logged = locomotion_data.generate("hopper-medium", 1_500, 0)
     assert logged.fingerprint() in prints_of(record["data"])
     assert record["data"]["mean_return"] == logged.provenance["statistics"]["mean"]
+    assert record["data"]["edition"] == logged.provenance["policies"]["edition"] == 1
+    named = "odaf data generate hopper-medium --transitions 1500 --seed 0 --edition 1 --out FILE"
+    assert record["data"]["same_set"] == named  # also once there is a newer one
 
     (half,) = [path for path in (second.directory(work) / "seed-1" / "checkpoints").iterdir() if int(path.name) == 2]
     assert second.amount_done(work) == 4.0  # saved before it was evaluated

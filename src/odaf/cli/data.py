@@ -160,6 +160,9 @@ def describe(summary: Mapping[str, Any]) -> str:
         "simulator": in_words(recorded(provenance)) or "not recorded",
         "source": provenance.get("generator") or provenance.get("file") or "unknown",
     }
+    policies = provenance.get("policies")
+    if isinstance(policies, Mapping) and "edition" in policies:
+        facts["edition"] = f"{policies['edition']} of the shipped policies"
     if isinstance(provenance.get("mixture"), Mapping):
         facts["mixture"] = _mixture(provenance["mixture"], summary.get("mixture"))
     width = max(map(len, facts))

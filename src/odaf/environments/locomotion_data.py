@@ -24,6 +24,8 @@ from odaf.errors import ConfigError
 from odaf.training.progress import ProgressReport, Silent
 
 KINDS = ("random", "medium", "medium-replay", "medium-expert", "expert")
+# What of a page of facts says who played: of the sets that are not one level.
+_PLAYERS = {"random": (), "medium-replay": ("replay",), "medium-expert": ("medium", "expert")}
 NAMES = tuple(f"{task}-{kind}" for task in TASKS for kind in KINDS)
 
 
@@ -40,8 +42,8 @@ def generate(
     """Records the set called `name`; one seed gives the same bits on the same machine and versions.
 
     `infos` hold `qpos`, `qvel` and `action_log_probs` (of the policy that acted). `provenance` holds the figures of the
-    recording under "statistics", whether they are near those of the published set under "acceptance", and a finding
-    for each that is not.
+    recording under "statistics", whether they are near those of the published set under "acceptance", a finding for
+    each that is not, and under "policies" the edition and what is known of those who played.
 
     Args:
         name: one of `NAMES`.
@@ -92,7 +94,7 @@ def generate(
     facts = {
         "generator": "odaf.environments.locomotion_data",
         "seed": seed,
-        "policies": {} if policies is None else {key: policies.facts.get(key) for key in ("training", kind)},
+        "policies": {} if policies is None else _told(policies.facts, kind),
         "versions": versions,
     }
     return judged(name, pieces, version, facts)
@@ -173,6 +175,12 @@ def _parts(task: Task, kind: str, transitions: int, policies: ShippedPolicies | 
             "expert": [Phase(half, _level(task, "expert", policies))],
         }
     return {kind: [Phase(transitions, None if kind == "random" else _level(task, kind, policies))]}
+
+
+def _told(facts: Mapping[str, Any], kind: str) -> dict[str, Any]:
+    """What a page of facts says of those who play in sets of a kind."""
+    names = ("edition", "training", *_PLAYERS.get(kind, (kind,)))
+    return {name: facts[name] for name in names if name in facts}
 
 
 def _level(task: Task, level: str, policies: ShippedPolicies) -> GaussianPolicy:

@@ -67,7 +67,8 @@ def shipped(task: Task, edition: int | None = None) -> ShippedPolicies:
 
 
 def facts_of_edition(facts: Mapping[str, Any], edition: int | None) -> dict[str, Any]:
-    """A page of facts as it was in an edition: "earlier" holds, from the first on, the levels that were others then."""
+    """A page of facts as it was in an edition, with its number under "edition"; "earlier" holds, from the first on, the
+    levels that were others then."""
     earlier = facts.get("earlier", [])
     newest = len(earlier) + 1
     if edition is not None and not 1 <= edition <= newest:
@@ -76,7 +77,7 @@ def facts_of_edition(facts: Mapping[str, Any], edition: int | None) -> dict[str,
     kept = {name: value for name, value in facts.items() if name != "earlier"}
     for levels in reversed(earlier[edition - 1 :] if edition is not None else []):
         kept |= levels
-    return kept
+    return kept | {"edition": newest if edition is None else edition}
 
 
 def pack_policies(policies: Sequence[GaussianPolicy]) -> dict[str, np.ndarray]:

@@ -10,13 +10,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from odaf.studies.job import DataEntries, Job, Phase, Record, Study, Work
-from odaf.studies.logs import LOCAL, policies_print
+from odaf.studies.logs import LOCAL, command_for, edition_of, policies_print
 
 if TYPE_CHECKING:
     from odaf.training.progress import ProgressReport
 
 TRANSITIONS = 100_000
 SEED = 0
+VERSION = 3  # of what a record holds: 2 looks at the spread of returns, 3 says which edition was played and by whom
 
 
 @dataclass(frozen=True)
@@ -42,7 +43,7 @@ class Recording(Work):
 
     def identity(self) -> dict[str, Any]:
         return {
-            "version": 2,
+            "version": VERSION,
             "transitions": self.transitions,
             "seed": self.seed,
             "policies_sha256": policies_print(self.set_name),
@@ -74,11 +75,12 @@ class Recording(Work):
         began, used = time.monotonic(), time.process_time()
         dataset = generate(self.set_name, self.transitions, self.seed, progress=progress)
         seconds, processor_seconds = time.monotonic() - began, time.process_time() - used
-        made = f"odaf data generate {self.set_name} --transitions {self.transitions} --seed {self.seed} --out FILE"
+        edition = edition_of(self.set_name)
         return {
             "origin": LOCAL,
-            "same_set": made,
-            "identity": {"version": 2},
+            "same_set": command_for(self.set_name, self.transitions, self.seed, edition),
+            "edition": edition,
+            "identity": {"version": VERSION},
             "policies_sha256": policies_print(self.set_name),
             **fingerprint.record(dataset),
             "seconds": seconds,
@@ -102,24 +104,26 @@ def plan() -> list[Phase]:
 
 def table(records: Sequence[Record]) -> str:
     """Markdown table: a row a set, what its episodes earn beside what the published set's do."""
+    from odaf.environments.locomotion_acceptance import SPREAD_FACTOR
     from odaf.environments.locomotion_data import NAMES
 
     by_name = {record["name"]: record for record in records}
     lines = [
-        f"Sets recorded by our own policies: {LOCAL}, {TRANSITIONS:,} transitions each. Scores are normalised, 0 for a",
-        "random policy and 100 for an expert, and belong to the environment named; the raw return stands beside them.",
-        "Limits are the published set's mean within 3 points (8 for medium-replay), and for medium and expert at most",
-        "1.5 times its standard deviation of returns, for each half of medium-expert on its own. Speeds are by the",
-        "clock, on a machine that may be busy with other work, and by processor time.",
+        f"Sets recorded by our own policies: {LOCAL}, {TRANSITIONS:,} transitions each, of the editions named.",
+        "Scores are normalised, 0 for a random policy and 100 for an expert, and belong to the environment named; the",
+        "raw return stands beside them, mean ± standard deviation over episodes. Limits are the published set's mean",
+        f"within 3 points (8 for medium-replay), and for medium and expert at most {SPREAD_FACTOR} times its standard",
+        "deviation of returns, for each half of medium-expert on its own. Speeds are by the clock, on a machine that",
+        "may be busy with other work, and by processor time.",
         "Made by `odaf reproduce generators` from the records in this folder.",
         "",
-        "| set | environment | whole episodes | return | score | expected | falls a row | accepted | transitions/s "
-        "| by processor time |",
-        "|---|---|---|---|---|---|---|---|---|---|",
+        "| set | edition | environment | whole episodes | return | published ± | ± at most | score | expected "
+        "| falls a row | accepted | transitions/s | by processor time |",
+        "|---|---|---|---|---|---|---|---|---|---|---|---|---|",
     ]
     for name in NAMES:
         if name not in by_name:
-            lines.append(f"| {name} | | | | | | | no policy shipped | | |")
+            lines.append(f"| {name} | | | | | | | | | | no policy shipped | | |")
             continue
         record = by_name[name]
         for part, figures in (record["statistics"].get("parts") or {"": record["statistics"]}).items():
@@ -133,16 +137,24 @@ def table(records: Sequence[Record]) -> str:
 
 
 def _row(name: str, part: str, figures: Mapping[str, Any], record: Mapping[str, Any]) -> str:
+    from odaf.environments.locomotion_acceptance import SPREAD_FACTOR
+
     prefix = f"{part}/" if part else ""
-    checks = [check for check in record["acceptance"]["checks"] if check["figure"].startswith(prefix)]
-    score = next((check for check in checks if check["figure"] == f"{prefix}normalised_mean"), None)
-    title = f"{name}, {part} half" if part else name
+    checks = {
+        check["figure"].removeprefix(prefix): check
+        for check in record["acceptance"]["checks"]
+        if check["figure"].startswith(prefix)
+    }
+    score, spread = checks.get("normalised_mean"), checks.get("std")
+    edition = "" if record["edition"] is None else record["edition"]
+    title = f"{f'{name}, {part} half' if part else name} | {edition}"
     if score is None:
-        return f"| {title} | {record['environment']['id']} | 0 | | | | | unknown | | |"
-    passed = "yes" if all(check["passed"] for check in checks) else "no"
+        return f"| {title} | {record['environment']['id']} | 0 | | | | | | | unknown | | |"
+    passed = "yes" if all(check["passed"] for check in checks.values()) else "no"
+    widest = "| | |" if spread is None else f"| {spread['highest'] / SPREAD_FACTOR:,.1f} | {spread['highest']:,.1f} |"
     return (
         f"| {title} | {figures['environment']} | {figures['whole_episodes']:,} "
-        f"| {figures['mean']:,.1f} ± {figures['std']:,.1f} | {figures['normalised_mean']:.1f} "
+        f"| {figures['mean']:,.1f} ± {figures['std']:,.1f} {widest} {figures['normalised_mean']:.1f} "
         f"| {score['lowest']:.1f} to {score['highest']:.1f} | {figures['terminal_row_share']:.4f} "
         f"| {passed} | {record['transitions_per_second']:,.0f} | {TRANSITIONS / record['processor_seconds']:,.0f} |"
     )

@@ -5,7 +5,7 @@ from typing import Any
 
 from odaf.studies.first_form import COMMON, first_form
 from odaf.studies.job import Phase, Record, Study
-from odaf.studies.logs import LOCAL, RecordedLog
+from odaf.studies.logs import LOCAL, RecordedLog, origin_of
 from odaf.studies.tables import grouped
 from odaf.studies.task import Evaluation, Task
 from odaf.studies.training import Training, phases_of
@@ -98,7 +98,7 @@ def table(records: Sequence[Record]) -> str:
     sets = grouped(records, lambda record: (record["task"], record["environment"], _rows_of(record["data"])))
     for (task, environment, _), group in sets.items():
         prints = sorted({record["data"]["sha256"][:8] for record in group})
-        where = f"| {task} | {environment} | {LOCAL}, {' and '.join(prints)} "
+        where = f"| {task} | {environment} | {origin_of(group[0]['data'])}, {' and '.join(prints)} "
         lines.append(_data_row(where, group[0]["data"]))
         methods = grouped(
             group, lambda record: (record["method"] != "behaviour-cloning", record["method"], record["steps"])

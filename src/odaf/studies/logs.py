@@ -1,6 +1,7 @@
 """The logs that studies learn from: scripted drivers in a maze, and locomotion sets recorded on the spot."""
 
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from hashlib import sha256
@@ -15,6 +16,11 @@ if TYPE_CHECKING:
     from odaf.evaluation.runs import Run
 
 LOCAL = "locally generated data"
+
+
+def origin_of(data: Mapping[str, Any]) -> str:
+    """What tables call the data of a record: where they come from, and of which edition the policies in them are."""
+    return LOCAL if data.get("edition") is None else f"{LOCAL}, edition {data['edition']}"
 
 
 @dataclass(frozen=True)
@@ -114,11 +120,10 @@ class RecordedLog(Log):
     def figures(self, run: "Run") -> dict[str, Any]:
         """What a record keeps of the data: the returns of their whole episodes, and how to make them again."""
         logged = run.data["summary"]["provenance"]["statistics"]
-        edition = "" if self.edition is None else f" --edition {self.edition}"
-        options = f"--transitions {self.transitions} --seed {self.seed}{edition} --out FILE"
-        made = f"odaf data generate {self.set_name} {options}"
+        edition = edition_of(self.set_name, self.edition)
         return {
-            "same_set": made,
+            "same_set": command_for(self.set_name, self.transitions, self.seed, edition),
+            "edition": edition,
             "transitions": logged["transitions"],
             "whole_episodes": logged["whole_episodes"],
             "mean_return": logged.get("mean"),
@@ -168,13 +173,30 @@ class MixedLog(Log):
         mix(expert, other, self.random_percent / 100, self.transitions).save(path)
 
     def figures(self, run: "Run") -> dict[str, Any]:
-        """What a record keeps of the data: the returns of all their episodes, and their mean as a score."""
+        """What a record keeps of the data: the returns of all their episodes, their mean as a score, and the edition of
+        the expert."""
         from odaf.environments.reference_returns import reference_of
 
         summary, reference = run.data["summary"], reference_of(run.data["environment"]["id"])
         kept = {key: summary[key] for key in ("transitions", "episodes", "mean_return", "best_return")}
         score = None if reference is None else reference.normalise(summary["mean_return"])
-        return {**kept, "random_percent": self.random_percent, "normalised_score": score}
+        edition = edition_of(self.parts[0].set_name)
+        return {**kept, "edition": edition, "random_percent": self.random_percent, "normalised_score": score}
+
+
+def edition_of(set_name: str, edition: int | None = None) -> int | None:
+    """The edition of a set by its number, where None is the newest; None where no policy of ours plays in it."""
+    from odaf.environments.locomotion_data import split_name
+    from odaf.environments.shipped_policies import shipped
+
+    task, kind = split_name(set_name)
+    return None if kind == "random" else shipped(task, edition).facts["edition"]
+
+
+def command_for(set_name: str, transitions: int, seed: int, edition: int | None) -> str:
+    """What records the same set again. It names the edition, which need not be the newest by then."""
+    named = "" if edition is None else f" --edition {edition}"
+    return f"odaf data generate {set_name} --transitions {transitions} --seed {seed}{named} --out FILE"
 
 
 @cache

@@ -10,7 +10,7 @@ from typing import Any
 from odaf.studies.first_form import first_form
 from odaf.studies.job import Phase, Record, Study
 from odaf.studies.locomotion import FINAL_EPISODES, HOPPER, locomotion_task
-from odaf.studies.logs import LOCAL
+from odaf.studies.logs import LOCAL, origin_of
 from odaf.studies.pointmaze import EPISODES, maze_task
 from odaf.studies.tables import grouped
 from odaf.studies.task import Task
@@ -78,7 +78,8 @@ def table(records: Sequence[Record]) -> str:
             "",
             f"**{task}** ({environment}), preset `odaf-locomotion` but for critics and weight,",
             f"{FINAL_EPISODES} episodes a seed, normalised scores.",
-            f"Data ({LOCAL}): {data['transitions']:,} transitions, mean score {data['normalised_score']:.1f}.",
+            f"Data ({origin_of(data)}): {data['transitions']:,} transitions, mean score "
+            f"{data['normalised_score']:.1f}.",
             "",
             *_rows([record for record in hopper if record["seed"] in SEEDS], "score", itemgetter("normalised_score")),
         ]

@@ -9,7 +9,7 @@ from typing import Any
 
 from odaf.runs import presets
 from odaf.studies.job import Phase, Record, Study
-from odaf.studies.logs import LOCAL, MixedLog, RecordedLog
+from odaf.studies.logs import LOCAL, MixedLog, RecordedLog, origin_of
 from odaf.studies.tables import grouped
 from odaf.studies.task import Evaluation, Task
 from odaf.studies.training import Training, phases_of
@@ -100,8 +100,8 @@ def table(records: Sequence[Record]) -> str:
         data = group[0]["data"]
         lines += [
             "",
-            f"**{task}** ({group[0]['environment']}; {LOCAL}, {data['transitions']:,} rows): the log's mean is "
-            f"{data['normalised_score']:.1f}.",
+            f"**{task}** ({group[0]['environment']}; {origin_of(data)}, {data['transitions']:,} rows): the log's mean "
+            f"is {data['normalised_score']:.1f}.",
             "",
             "| method | updates | seeds | last | last three | 95 % interval | worst seed | updates/s | seconds |",
             "|---|---|---|---|---|---|---|---|---|",
@@ -136,7 +136,7 @@ def summary(records: Sequence[Record]) -> str:
     for task, group in grouped(records, lambda record: record["task"]).items():
         methods = grouped(group, lambda record: record["method"])
         logs[task] = {
-            "data": LOCAL,
+            "data": origin_of(group[0]["data"]),
             "log_mean": group[0]["data"]["normalised_score"],
             "methods": {
                 name: {

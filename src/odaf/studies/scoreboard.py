@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from odaf.studies.job import Phase, Record, Study
-from odaf.studies.logs import LOCAL, MixedLog, RecordedLog
+from odaf.studies.logs import LOCAL, MixedLog, RecordedLog, origin_of
 from odaf.studies.published import SOURCE, published_score
 from odaf.studies.tables import grouped
 from odaf.studies.task import Evaluation, Task
@@ -163,8 +163,8 @@ def table(records: Sequence[Record]) -> str:
         data = group[0]["data"]
         lines += [
             "",
-            f"**{task}** ({group[0]['environment']}; {LOCAL}, {data['transitions']:,} rows): the log's mean is "
-            f"{data['normalised_score']:.1f}.",
+            f"**{task}** ({group[0]['environment']}; {origin_of(data)}, {data['transitions']:,} rows): the log's mean "
+            f"is {data['normalised_score']:.1f}.",
             "",
             f"| method | {budgets} | seeds | 95 % interval | worst seed | steadiness | minutes | a minute "
             "| published |",
