@@ -100,6 +100,17 @@ class Simulator:
         observation, reward, terminated, _, _ = self._environment.step(action)
         return observation, float(reward), bool(terminated)
 
+    def place(self, body: np.ndarray) -> None:
+        """Puts the body into a pose, at rest or in motion.
+
+        Args:
+            body: `qpos` and `qvel` in one array, as `body` returns; or an observation, which lacks the horizontal
+                position, taken as 0, and shows velocities up to 10 only.
+        """
+        if len(body) == self.task.obs_dim:
+            body = np.concatenate([[0.0], body])
+        self._environment.set_state(body[: self.task.positions], body[self.task.positions :])
+
     def body(self) -> np.ndarray:
         """`qpos` and `qvel` in one array, a copy."""
         return np.concatenate([self._data.qpos, self._data.qvel])

@@ -64,6 +64,10 @@ class KnownGround:
         distances, _ = tree.query(normaliser.normalise(dataset.observations[measured]))
         return cls(tree, len(sampled), float(np.percentile(distances, _PERCENTILE)), normaliser)
 
+    def distances(self, observations: np.ndarray) -> np.ndarray:
+        """From states [rows, obs_dim] in the user's units to the nearest logged state, in normalised units: [rows]."""
+        return self.tree.query(self.normaliser.normalise(observations))[0]
+
     def recovery(self, observations: np.ndarray) -> np.ndarray:
         """Steps until each episode is first within the threshold; infinite where it ends before.
 
@@ -78,6 +82,5 @@ class KnownGround:
             waiting = np.flatnonzero(np.isinf(steps) & np.isfinite(observations[:, time]).all(axis=-1))
             if waiting.size == 0:
                 break
-            distances, _ = self.tree.query(self.normaliser.normalise(observations[waiting, time]))
-            steps[waiting[distances <= self.threshold]] = time
+            steps[waiting[self.distances(observations[waiting, time]) <= self.threshold]] = time
         return steps
