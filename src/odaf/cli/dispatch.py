@@ -73,6 +73,7 @@ COMMANDS = (
     Command("behaviour export", "DIR", "let `data generate` use such policies", "odaf.cli.behaviour", "export"),
     Command("demo", "", "stitch a maze from poor demonstrations, in minutes", "odaf.cli.demo"),
     Command("reproduce", "STUDY", "measure a whole study, one resumable command", "odaf.cli.reproduce"),
+    Command("claims", "", "say which of the paper's claims the studies' records bear out", "odaf.cli.claims"),
 )
 
 

@@ -53,7 +53,13 @@ class ReproduceOptions:
     merge: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     """Measure nothing: take the records of such a folder into the ledger, those that say what would be measured now."""
     work: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
-    """Directory of data and runs, which may be thrown away once the records are there; without it, runs/STUDY."""
+    """Directory of data and runs, which may be thrown away once the records are there; without it, runs/STUDY. Studies
+    that are given one directory share the policies that both need."""
+    data: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
+    """Learn from the public files in this directory (hopper_medium-v2.hdf5 and so on) in place of logs recorded here;
+    the ledger is then results/STUDY-public."""
+    page: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    """Measure nothing: write what the ledger holds as one HTML page, with verdict, figures, tables and protocol."""
 
 
 def run(arguments: list[str]) -> None:
@@ -75,7 +81,30 @@ def run(arguments: list[str]) -> None:
         raise ConfigError(f"--minutes {options.minutes:g}: must be more than 0; leave it out to measure everything")
     if options.workers < 1:
         raise ConfigError(f"--workers {options.workers}: must be at least 1")
-    return _list_one(STUDIES[options.study], options) if options.list else _measure(STUDIES[options.study], options)
+    study = _on_files(STUDIES[options.study], options.data)
+    if options.page is not None:
+        return _draw(study, options, options.page)
+    return _list_one(study, options) if options.list else _measure(study, options)
+
+
+def _on_files(study: "Study", data: Path | None) -> "Study":
+    if data is None:
+        return study
+    if study.on_files is None:
+        able = ", ".join(name for name, other in STUDIES.items() if other.on_files is not None)
+        raise ConfigError(f"--data: {study.name} records its logs itself; studies that take public files are {able}")
+    if not data.is_dir():
+        raise ConfigError(f"--data {data}: there is no such directory; name the one that holds the public files")
+    return study.on_files(data)
+
+
+def _draw(study: "Study", options: ReproduceOptions, page: Path) -> None:
+    from odaf.studies.ledger import Ledger
+    from odaf.studies.page import build
+
+    out, _ = _places(study, options)
+    command = f"odaf reproduce {study.name}" + ("" if options.data is None else " --data DIR")
+    print(f"{study.name}: {build(Ledger(study, out), page, command)}; the page is {page}")
 
 
 def _measure(study: "Study", options: ReproduceOptions) -> None:
@@ -149,7 +178,7 @@ def _list_all(options: ReproduceOptions) -> None:
     from odaf.studies.ledger import Ledger, stale
     from odaf.studies.listing import holding, known_costs
 
-    if options.out is not None or options.work is not None or options.only or options.phase:
+    if options.out is not None or options.work is not None or options.only or options.phase or options.data is not None:
         raise ConfigError(
             "--list: name a study first to list a part of it or another ledger, as in "
             "`odaf reproduce pointmaze --list --out DIR`"
@@ -218,7 +247,8 @@ def _costs(study: "Study", ledger: Any) -> Any:
 
 
 def _places(study: "Study", options: ReproduceOptions) -> tuple[Path, Path]:
-    return options.out or Path("results") / study.name, options.work or Path("runs") / study.name
+    ledger = study.name if options.data is None else f"{study.name}-public"
+    return options.out or Path("results") / ledger, options.work or Path("runs") / study.name
 
 
 _HOW = (

@@ -75,7 +75,7 @@ def maze_figure(
         )
     if title:
         figure.suptitle(title, fontsize=12, parse_math=False)
-    return _write(figure, out)
+    return write_figure(figure, out)
 
 
 def learning_curves_figure(
@@ -106,7 +106,7 @@ def learning_curves_figure(
             "learning_curves_figure: no curves; train with an evaluation, so that there is a return to draw"
         )
     figure = _curves(curves, references, title, note)
-    return _write(figure, out)
+    return write_figure(figure, out)
 
 
 def _curves(
@@ -188,7 +188,7 @@ def attack_figure(curve: AttackCurve, out: Path, name: str) -> Path:
     axes.set_xlabel("largest offset of an observation, in standard deviations of the log", fontsize=8)
     axes.set_ylabel("mean return" if reference is None else f"normalised score, {curve.environment}", fontsize=8)
     axes.set_title(fitted(f"{name} under {curve.attack}", 72 * 5.4, 12), fontsize=12, parse_math=False)
-    return _write(figure, out)
+    return write_figure(figure, out)
 
 
 def estimates_figure(
@@ -226,7 +226,7 @@ def estimates_figure(
         axes.set_xlabel("true value", fontsize=8)
         axes.set_ylabel("estimate" if place == 0 else "", fontsize=8)
     figure.suptitle(title, fontsize=11, parse_math=False)
-    return _write(figure, out)
+    return write_figure(figure, out)
 
 
 def grid_figure(
@@ -275,7 +275,7 @@ def grid_figure(
     axes.set_title(title, fontsize=11, color=palette.ink, parse_math=False)
     room = 72 * (figure.get_figwidth() - 0.3)
     figure.supxlabel(fitted(note, room, 7.5), fontsize=7.5, color=palette.muted, parse_math=False)
-    return _write(figure, out)
+    return write_figure(figure, out)
 
 
 def theory_figure(
@@ -348,7 +348,7 @@ def theory_figure(
     grid.axis("off")
     grid.set_title("Paths beside a cell outside the data (X)", fontsize=10, color=palette.ink)
     grid.legend(fontsize=7.5, frameon=False, loc="upper center", bbox_to_anchor=(0.5, 0.0), ncols=3, columnspacing=1.0)
-    return _write(figure, out)
+    return write_figure(figure, out)
 
 
 def run_curves(run_directories: Sequence[Path]) -> tuple[list[Curve], list[tuple[str, float]]]:
@@ -365,7 +365,7 @@ def _maze_legend(runs: Sequence[RunRecord]) -> str:
     return " · ".join(parts + sorted({run.origin for run in runs if run.origin}))
 
 
-def _write(figure: Any, out: Path) -> Path:
+def write_figure(figure: Any, out: Path) -> Path:
     """By the ending of the name, SVG or PNG; equal figures give equal bytes."""
     import matplotlib
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from odaf.errors import ConfigError
 
 if TYPE_CHECKING:
+    from odaf.studies.verdict import Claim
     from odaf.training.progress import ProgressReport
 
 Record = dict[str, Any]
@@ -166,6 +167,8 @@ class Study:
             nothing is looked up at import.
         tables: for each Markdown file, its text from the records that count, in the order of their names.
         figures: for each picture, what draws it to a path from the same records.
+        claim: of the paper's that it decides, for those that decide one.
+        on_files: the same study on public files in a directory, for those that can be measured on such.
     """
 
     name: str
@@ -173,6 +176,8 @@ class Study:
     plan: Callable[[], Sequence[Phase]]
     tables: Mapping[str, Callable[[Sequence[Record]], str]]
     figures: Mapping[str, Callable[[Sequence[Record], Path], object]] = field(default_factory=dict)
+    claim: "Claim | None" = None
+    on_files: "Callable[[Path], Study] | None" = None
 
     def jobs(self) -> list[Job]:
         """Every job in the order of the plan.

@@ -134,7 +134,8 @@ class RecordedLog(Log):
 
 @dataclass(frozen=True)
 class MixedLog(Log):
-    """Few rows of a robot's expert, then many random ones: `hopper-mixture-80` has 80 % random rows.
+    """Few rows of a robot's expert, then many random ones: `hopper-mixture-80` has 80 % random rows. A log of another
+    size than 100,000 rows says so in its name, as `hopper-mixture-80-1000k`.
 
     Attributes:
         robot: as in `hopper`.
@@ -150,7 +151,8 @@ class MixedLog(Log):
 
     @property
     def name(self) -> str:
-        return f"{self.robot}-mixture-{self.random_percent}"
+        size = "" if self.transitions == 100_000 else f"-{self.transitions / 1000:g}k"
+        return f"{self.robot}-mixture-{self.random_percent}{size}"
 
     @property
     def parts(self) -> tuple[RecordedLog, RecordedLog]:

@@ -1,18 +1,28 @@
 """The studies by name; one more is one more entry."""
 
+from odaf.studies.ablation import STUDY as ABLATION
+from odaf.studies.attacks import STUDY as ATTACKS
 from odaf.studies.estimates import STUDY as ESTIMATES
 from odaf.studies.generators import STUDY as GENERATORS
 from odaf.studies.guard import STUDY as GUARD
 from odaf.studies.job import Study
+from odaf.studies.knocks import STUDY as KNOCKS
 from odaf.studies.locomotion import STUDY as LOCOMOTION
+from odaf.studies.mixtures import STUDY as MIXTURES
+from odaf.studies.mujoco import STUDY as MUJOCO
 from odaf.studies.outcome import STUDY as OUTCOME
 from odaf.studies.pointmaze import STUDY as POINTMAZE
 from odaf.studies.rivals import STUDY as RIVALS
 from odaf.studies.scoreboard import STUDY as SCOREBOARD
 from odaf.studies.selection import STUDY as SELECTION
+from odaf.studies.sweeps import STUDY as SWEEPS
 from odaf.studies.theory import STUDY as THEORY
+from odaf.studies.validation import STUDY as VALIDATION
 
 STUDIES: dict[str, Study] = {
     study.name: study
-    for study in (POINTMAZE, OUTCOME, LOCOMOTION, RIVALS, SCOREBOARD, GENERATORS, ESTIMATES, SELECTION, THEORY, GUARD)
+    for study in (
+        *(POINTMAZE, OUTCOME, LOCOMOTION, RIVALS, SCOREBOARD, GENERATORS, ESTIMATES, SELECTION, THEORY, GUARD),
+        *(VALIDATION, ATTACKS, KNOCKS, ABLATION, MIXTURES, MUJOCO, SWEEPS),
+    )
 }

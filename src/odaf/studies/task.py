@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from odaf.studies.logs import MazeLog, MixedLog, RecordedLog
+from odaf.studies.public_logs import PublicLog, PublicMixture
 
 
 @dataclass(frozen=True)
@@ -36,7 +37,7 @@ class Task:
         version: raised when the same log and evaluation would give other scores. Older records have 1.
     """
 
-    log: MazeLog | MixedLog | RecordedLog
+    log: MazeLog | MixedLog | RecordedLog | PublicLog | PublicMixture
     evaluation: Evaluation
     score: str = "mean_return"
     field: str = "task"

@@ -28,6 +28,8 @@ class Training(Work):
         steps: updates to make.
         changes: settings other than the preset's and the task's, by dotted name.
         form: settings that keep the preset in the form that the study is about; no part of the method's name.
+        setting: of the task, whose values of the preset are taken, as in "attack" for those of `hopper-medium-attack`;
+            part of the method's name.
         notes: further entries of the record, for a study's tables.
         checkpoint_every: updates between two checkpoints; a run that is stopped loses no more.
     """
@@ -38,13 +40,15 @@ class Training(Work):
     steps: int
     changes: tuple[tuple[str, Any], ...] = ()
     form: tuple[tuple[str, Any], ...] = ()
+    setting: str | None = None
     notes: tuple[tuple[str, Any], ...] = ()
     checkpoint_every: int = 5_000
 
     @property
     def method(self) -> str:
         """The preset and what is changed in it, as in `odaf-return_steps-5`."""
-        return "-".join([self.preset, *(f"{field}-{value}" for field, value in self.changes)])
+        setting = [] if self.setting is None else [self.setting]
+        return "-".join([self.preset, *setting, *(f"{field}-{value}" for field, value in self.changes)])
 
     @property
     def title(self) -> str:
@@ -95,7 +99,9 @@ class Training(Work):
         form, then the changes."""
         from odaf.runs import presets
 
-        task = self.task.name if self.task.name in presets.tasks(self.preset) else None
+        task = self.task.name if self.setting is None else f"{self.task.name}-{self.setting}"
+        if self.setting is None and task not in presets.tasks(self.preset):
+            task = None
         return presets.load(self.preset, {**dict(self.task.common), **dict(self.form), **dict(self.changes)}, task=task)
 
     def identity(self) -> dict[str, Any]:

@@ -1,0 +1,185 @@
+"""The paper's claims, each decided from the records of a study."""
+
+import json
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+from odaf.data.writing import write_atomically
+from odaf.studies.job import Record
+from odaf.studies.ledger import Ledger
+from odaf.studies.registry import STUDIES
+from odaf.studies.theory import verdicts as theory_verdicts
+from odaf.studies.verdict import Part, Verdict, decide
+
+MAZE_STEPS = 20_000
+Decision = Callable[[Sequence[Record]], Verdict]
+NO_STUDY = "no study of this package measures it yet"
+
+
+@dataclass(frozen=True)
+class Question:
+    """A claim and where its records lie.
+
+    Attributes:
+        statement: what the paper claims.
+        study: whose ledger holds the records; None where there is none.
+        verdict: from the records that count; None takes the study's own.
+        ours: the same of this package's form; None takes the study's own, if there is one.
+    """
+
+    statement: str
+    study: str | None
+    verdict: Decision | None = None
+    ours: Decision | None = None
+
+
+def stitching(records: Sequence[Record], method: str = "odaf-paper") -> Verdict:
+    """Whether a method's mean return in the stitching maze exceeds the best logged one."""
+    values = tuple(one["final"]["mean_return"] - one["data"]["best_return"] for one in _maze(records, method))
+    return decide([Part(f"{method} over the best logged return in the stitching maze", values)])
+
+
+def cost(records: Sequence[Record], method: str = "odaf-paper") -> Verdict:
+    """Whether training in the stitching maze takes less time than MBRCSL's, each alone on a processor."""
+    ours, theirs = (
+        tuple(one["seconds"]["total"] for one in _maze(records, name) if one.get("lanes", 1) == 1)
+        for name in (method, "mbrcsl")
+    )
+    return decide([Part(f"seconds in the stitching maze, mbrcsl over {method}", theirs, ours, paired=False)])
+
+
+def theory(records: Sequence[Record]) -> Verdict:
+    """Whether the printed statements hold on finite problems, where everything can be computed."""
+    said = {f"{one['label']} {one['name']}": theory_verdicts(one) for one in records}
+    printed = {name: each["printed"] for name, each in said.items() if each["printed"] != "-"}
+    corrected = [each["corrected"] for each in said.values()]
+    failing = [name for name, verdict in printed.items() if verdict == "not held"]
+    test = f"exact values on finite problems, {len(said)} experiments"
+    tally = f"as corrected, {corrected.count('held')} of {len(said)} statements hold"
+    if not said:
+        return _undecided(test, "no records")
+    held = all(verdict == "held" for verdict in printed.values())
+    answer = "not held" if failing else "held" if held else "not decided"
+    reasons = (*(f"as printed, not held: {name}" for name in failing), tally)
+    return Verdict(answer, test, 1, None, None, failing[0] if failing else "all", reasons, {})
+
+
+CLAIMS: Mapping[str, Question] = {
+    "mujoco": Question("best on the robots' logs, non-expert ones above all (Table 1)", "mujoco"),
+    "mixtures": Question("degrades least as random rows are mixed into an expert's", "mixtures"),
+    "stitching": Question(
+        "joins pieces of poor demonstrations to a new path", "pointmaze", stitching, partial(stitching, method="odaf")
+    ),
+    "attacks": Question("holds under attacks on what it sees", "attacks"),
+    "validation": Question("the outcome's uncertainty tells safe actions from unsafe ones", "validation"),
+    "ablation": Question("its term is what matters: without it scores fall by about a fifth", "ablation"),
+    "knocks": Question("comes back from states outside the data", "knocks"),
+    "theory": Question("its theory holds as printed", "theory", theory),
+    "antmaze": Question("best in the ant mazes", None),
+    "cost": Question("trains in less time than MBRCSL", "pointmaze", cost, partial(cost, method="odaf")),
+}
+"""By the name in `claims.json`."""
+
+
+def decided(results: Path) -> dict[str, Verdict]:
+    """The verdict on each claim from the ledgers in a folder; not decided where records are missing.
+
+    Raises:
+        ConfigError: a record cannot be read.
+    """
+    return {name: _verdict(question, results) for name, question in CLAIMS.items()}
+
+
+def ours(question: Question, results: Path) -> Verdict | None:
+    """The same question of this package's form of the method; None where it is not asked."""
+    if question.study not in STUDIES:
+        return None
+    study = STUDIES[question.study]
+    decide_by = question.ours or (None if study.claim is None else study.claim.ours)
+    return None if decide_by is None else decide_by(Ledger(study, results / study.name).held())
+
+
+def command(question: Question) -> str:
+    """What measures the records of a claim."""
+    return NO_STUDY if question.study not in STUDIES else f"odaf reproduce {question.study}"
+
+
+def write(found: Mapping[str, Verdict], out: Path, page: Path) -> None:
+    """Writes the verdicts as JSON, and as a Markdown page beside whose folder the figures lie."""
+    content = {}
+    for name, verdict in found.items():
+        entry = verdict.to_dict()
+        content[name] = {**entry, "claim": CLAIMS[name].statement, "command": command(CLAIMS[name])}
+        if (own := ours(CLAIMS[name], out.parent)) is not None:
+            content[name]["ours"] = own.to_dict()
+    for path, text in ((out, json.dumps(content, indent=1) + "\n"), (page, markdown(found, out.parent, page.parent))):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_atomically(path, lambda file, text=text: file.write(text.encode("utf-8")))
+
+
+def markdown(found: Mapping[str, Verdict], results: Path, folder: Path) -> str:
+    """The page: a table of all claims, then each with its test, its reasons, its figure and its command."""
+    lines = [
+        "# The paper's claims",
+        "",
+        "Drawn by `odaf claims` from the ledgers in `results/`. A claim is **held** where the 95 % interval of every",
+        "part lies on its side, **not held** where one lies on the other (corrected for the number of parts), and",
+        "**not decided** otherwise: too few seeds, no records, or a policy no better than its log.",
+        "",
+        "| claim | | verdict | seeds | command |",
+        "|---|---|---|---|---|",
+    ]
+    for name, verdict in found.items():
+        question = CLAIMS[name]
+        told = command(question)
+        shown = told if told == NO_STUDY else f"`{told}`"
+        lines.append(f"| [{name}](#{name}) | {question.statement} | {verdict.verdict} | {verdict.seeds} | {shown} |")
+    for name, verdict in found.items():
+        lines += ["", f"## {name}", "", *_section(CLAIMS[name], verdict, results, folder)]
+    return "\n".join(lines) + "\n"
+
+
+MOST_REASONS = 8
+
+
+def _section(question: Question, verdict: Verdict, results: Path, folder: Path) -> list[str]:
+    capital = question.statement[0].upper() + question.statement[1:]
+    lines = [f"{capital}: **{verdict.verdict}**.", "", f"Test: {verdict.test}."]
+    if verdict.interval is not None:
+        low, high = verdict.interval
+        lines.append(f"{verdict.part}: interval {low:+.3g} to {high:+.3g}, {verdict.seeds} seeds.")
+    if verdict.verdict == "not decided":
+        enough = "what is missing says nothing of how many" if verdict.enough is None else f"about {verdict.enough:,}"
+        lines.append(f"Seeds that would decide: {enough}.")
+    if (own := ours(question, results)) is not None:
+        lines += ["", f"The same of this package's own form: {own}."]
+    if verdict.reasons:
+        more = len(verdict.reasons) - MOST_REASONS
+        lines += ["", *(f"- {reason}" for reason in verdict.reasons[:MOST_REASONS])]
+        lines += [f"- and {more} more"] if more > 0 else []
+    figure = None if question.study is None else results / question.study / "figure.png"
+    if figure is not None and figure.exists():
+        lines += ["", f"![{question.study}]({Path(os.path.relpath(figure, folder)).as_posix()})"]
+    return lines
+
+
+def _verdict(question: Question, results: Path) -> Verdict:
+    if question.study is None or question.study not in STUDIES:
+        return _undecided("no test", NO_STUDY)
+    study = STUDIES[question.study]
+    records = Ledger(study, results / study.name).held()
+    decide_by = question.verdict or (None if study.claim is None else study.claim.verdict)
+    assert decide_by is not None
+    return decide_by(records)
+
+
+def _undecided(test: str, reason: str) -> Verdict:
+    return Verdict("not decided", test, 0, None, None, "", (reason,), {})
+
+
+def _maze(records: Sequence[Record], method: str) -> list[Record]:
+    own = [one for one in records if (one.get("maze"), one.get("method")) == ("stitch", method)]
+    return [one for one in own if one["steps"] == MAZE_STEPS and one["final"] is not None]
