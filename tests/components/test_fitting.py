@@ -111,6 +111,24 @@ def test_the_loss_sees_a_slow_copy_where_one_is_kept():
     assert float(found.weight) == pytest.approx(_adam(gradient, 0.0, [0.1] * 4), rel=1e-4)
 
 
+def test_weights_decay_apart_from_adam_and_what_is_returned_may_be_an_average():
+    """AdamW by its definition; after step t the average keeps min( 0.9999, (1 + t) / (10 + t) ) of itself."""
+    found = fit(
+        line(), squared_error, SAME_ROWS, schedule="cosine", weight_decay=0.5, averages=True, stretch=2, **QUIET
+    )
+    rates = [0.1 * 0.5 * (1 + np.cos(np.pi * step / 3)) for step in range(3)]
+    value, first, second = np.array([0.5, 0.1]), 0.0, 0.0
+    average = value
+    for step, rate in enumerate(rates, start=1):
+        slope = 2.0 * (2.0 * value[0] + value[1] - 3.0) * np.array([2.0, 1.0])
+        first, second = 0.9 * first + 0.1 * slope, 0.999 * second + 0.001 * slope**2
+        adam = first / (1 - 0.9**step) / (np.sqrt(second / (1 - 0.999**step)) + 1e-8)
+        value = value - rate * 0.5 * value - rate * adam
+        kept = min(0.9999, (1 + step) / (10 + step))
+        average = kept * average + (1 - kept) * value
+    np.testing.assert_allclose([found.model.weight, found.model.offset], average, rtol=1e-5)
+
+
 def test_batches_come_from_the_first_rows_alone():
     columns = (jnp.arange(100.0), jnp.zeros(100))
     means = fit(line(0.0, 0.0), squared_error, columns, rows=3, **{**QUIET, "batch_size": 200}).means

@@ -26,6 +26,7 @@ from odaf.errors import DivergenceError
 
 STRETCH = 1_000
 BLOCK = 4_096
+LEAST_SHARE, AVERAGED_SHARE = 1e-4, 9.0  # of an average: 1 - min( 0.9999, (1 + t) / (10 + t) ) after step t = 1, 2, ...
 
 Model = TypeVar("Model")
 Batch = tuple[Array, ...]
@@ -62,7 +63,7 @@ class Fitted(Generic[Model]):
     """A fitted model and how it got there."""
 
     model: Model
-    """After the last step; with early stopping, the one with the lowest error."""
+    """After the last step; with early stopping, the one with the lowest error; averaged where that was asked for."""
     means: dict[str, float]
     """Of the loss ("loss") and its figures over the last stretch."""
     steps: int
@@ -79,13 +80,15 @@ class _Recipe(NamedTuple):
     members: int | None
     schedule: Schedule
     noisy: bool
+    decays: bool
+    averages: bool
     stretch: int
 
 
 class _State(NamedTuple):
     parameters: PyTree
     moments: optax.OptState
-    slow: PyTree  # None without a slow copy
+    slow: PyTree  # None without a slow copy or an average
 
 
 def fit(
@@ -106,6 +109,8 @@ def fit(
     members: int | None = None,
     trainable: PyTree | None = None,
     slow_rate: float | None = None,
+    weight_decay: float = 0.0,
+    averages: bool = False,
     noisy: bool = True,
     stretch: int = STRETCH,
     stopping: EarlyStopping | None = None,
@@ -132,6 +137,10 @@ def fit(
         trainable: a tree of booleans in the model's structure; the rest stays as it is. None trains all real numbers.
         slow_rate: share of the model that enters a slow copy of it after each step; the loss is then called with that
             copy too, under the name `slow`. None keeps no copy.
+        weight_decay: share of the parameters, times the step size, that each step takes away beside Adam's (AdamW).
+        averages: whether to return an average over the steps in place of the last parameters. After step t it moves
+            max( 1e-4, 9 / (10 + t) ) of the way to the new parameters, so it reaches over a ninth of the steps, and
+            10,000 at most. Offered without a slow copy and without early stopping.
         noisy: whether the loss uses its key. If not, the key of a step goes to the batch undivided.
         stretch: steps in one compiled call.
         stopping: None takes all steps.
@@ -142,12 +151,15 @@ def fit(
     trainable = jax.tree.map(eqx.is_inexact_array, model) if trainable is None else trainable
     parameters, fixed = eqx.partition(model, trainable)
     parameters = copy_of(parameters)
-    state = _State(parameters, initial_moments(parameters), None if slow_rate is None else copy_of(parameters))
-    recipe = _Recipe(loss, batch_size, members, schedule, noisy, stretch)
+    assert not averages or (slow_rate is None and stopping is None), "an average stands in place of both"
+    has_copy = averages or slow_rate is not None
+    state = _State(parameters, initial_moments(parameters), copy_of(parameters) if has_copy else None)
+    recipe = _Recipe(loss, batch_size, members, schedule, noisy, weight_decay > 0.0, averages, stretch)
     numbers = {
         "learning_rate": jnp.asarray(learning_rate, jnp.float32),
         "turn": jnp.asarray(np.float32(np.pi) * (np.float32(1.0) / np.float32(steps))),  # of the cosine, a step
         "slow_rate": jnp.asarray(slow_rate or 0.0, jnp.float32),
+        "weight_decay": jnp.asarray(weight_decay, jnp.float32),
     }
     count = _number(columns[0].shape[0] if rows is None else rows)
 
@@ -175,7 +187,7 @@ def fit(
                     best = stopping.join(best, kept, jnp.asarray(better))
             if checks_without_gain >= stopping.patience:
                 break
-    kept = state.parameters if best is None else best
+    kept = state.slow if averages else state.parameters if best is None else best
     return Fitted(eqx.combine(kept, fixed), means, done, None if stopping is None else float(np.mean(lowest)))
 
 
@@ -242,7 +254,7 @@ def _stretch(
         key_step = jr.fold_in(key, index)
         key_draw, key_loss = jr.split(key_step) if recipe.noisy else (key_step, key_step)
         batch = batch_of(key_draw)
-        slow = {} if state.slow is None else {"slow": eqx.combine(state.slow, fixed)}
+        slow = {} if state.slow is None or recipe.averages else {"slow": eqx.combine(state.slow, fixed)}
 
         def loss(parameters: PyTree) -> tuple[Float[Array, ""], dict[str, Float[Array, ""]]]:
             return recipe.loss(eqx.combine(parameters, fixed), batch, key_loss, **slow)
@@ -251,8 +263,14 @@ def _stretch(
         rate = numbers["learning_rate"]
         if recipe.schedule == "cosine":
             rate = rate * cosine_fall(index.astype(jnp.float32) * numbers["turn"])
-        parameters, moments = adam_step(rate, gradient, state.moments, state.parameters)
-        slow_copy = None if state.slow is None else polyak(state.slow, parameters, numbers["slow_rate"])
+        parameters = state.parameters
+        if recipe.decays:
+            parameters = jax.tree.map(lambda leaf: leaf - rate * numbers["weight_decay"] * leaf, parameters)
+        parameters, moments = adam_step(rate, gradient, state.moments, parameters)
+        slow_rate = numbers["slow_rate"]
+        if recipe.averages:
+            slow_rate = jnp.maximum(LEAST_SHARE, AVERAGED_SHARE / (AVERAGED_SHARE + 2.0 + index.astype(jnp.float32)))
+        slow_copy = None if state.slow is None else polyak(state.slow, parameters, slow_rate)
         return _State(parameters, moments, slow_copy), {**figures, "loss": value}
 
     def one(index: Int[Array, ""], carry: tuple[_State, dict[str, Array]]) -> tuple[_State, dict[str, Array]]:
