@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import odaf
-from golden.deployed import HIGH, LOW, OnnxPolicy, policy_of, remembering
+from golden.deployed import HIGH, LOW, OnnxPolicy, asking, policy_of, remembering
 from golden.runs import dataset_of, untrained_run
 from odaf.components import policies as actors
 from odaf.components.ranked_actors import RankedGaussianActor
@@ -44,6 +44,53 @@ def test_memory_and_limits_are_in_all_forms(tmp_path):
     for found in artefact.contract["checked"].values():
         assert found["steps"] > 250 and found["largest_difference"] <= 1e-5
     assert artefact.contract["steps_before_the_first_action"] == 2
+
+
+@needs_cc
+def test_a_policy_that_is_asked_for_a_return_is_told_what_it_earns_in_all_forms(tmp_path):
+    artefact = odaf.export(asking(remembering()), tmp_path, replace=True, max_change=LIMITS)
+    for found in artefact.contract["checked"].values():
+        assert found["steps"] > 250 and found["largest_difference"] <= 1e-5
+    assert [entry["name"] for entry in artefact.contract["observation"]] == ["level", "flow", "temp", "last_reward"]
+    assert "0 in the first step" in artefact.contract["observation"][-1]["meaning"]
+
+
+def test_what_was_earned_counts_once_and_not_in_a_step_that_is_refused(tmp_path):
+    policy = asking()
+    odaf.export(policy, tmp_path / "out", forms=["numpy", "onnx"])
+    numpy, graph = (
+        odaf_policy.Policy(tmp_path / "out" / "policy.safetensors"),
+        OnnxPolicy(tmp_path / "out" / "policy.onnx"),
+    )
+    rng, carry, earned = np.random.default_rng(0), policy.begin(), 0.0
+    low, high = (np.asarray(bound) for bound in (LOW, HIGH))
+    for step in range(6):
+        row = dict(zip(policy.observation_names, rng.normal(size=4).astype(np.float32), strict=True))
+        reward = 0.0 if step == 0 else 4.0 * rng.normal()
+        earned += reward
+        carry = policy.observe(carry, reward)
+        expected, carry = policy.act(carry, row)
+        if step == 3:
+            for wrong in ({**row, "x2": np.nan, "last_reward": reward}, {**row, "last_reward": np.inf}):
+                with pytest.raises(odaf_policy.Refused, match="is not a finite number"):
+                    numpy.act(wrong)
+                assert graph.act(list(wrong.values()))[1] == 1
+        given = {**row, "last_reward": reward}
+        for action in (numpy.act(given), graph.act(list(given.values()))[0]):
+            assert action is not None
+            np.testing.assert_allclose((action - expected) / (high - low), 0.0, atol=1e-5)
+        np.testing.assert_allclose(numpy._carry["return_to_go"].item(), 30.0 - earned, rtol=1e-5)
+        np.testing.assert_allclose(graph.carry["return_to_go"].item(), 30.0 - earned, rtol=1e-5)
+    with pytest.raises(odaf_policy.Refused, match=r"missing \['last_reward'\]"):
+        numpy.act(dict.fromkeys(policy.observation_names, 0.0))
+    numpy.begin()
+    assert numpy._carry["return_to_go"].item() == 30.0
+
+
+def test_no_reading_may_have_the_name_of_the_reward(tmp_path):
+    policy = replace(asking(), observation_names=("x0", "x1", "x2", "last_reward"))
+    with pytest.raises(ConfigError, match="last_reward: is a reading of this policy"):
+        odaf.export(policy, tmp_path / "out")
 
 
 @needs_cc

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,8 @@ import jax.random as jr
 import numpy as np
 
 from battery import learners
+from odaf.components.networks import init_mlp
+from odaf.components.return_conditioned import ReturnConditionedActor
 from odaf.data.derived import Derivation
 from odaf.data.normalisation import Normaliser
 from odaf.data.spec import Spec
@@ -32,6 +35,16 @@ def policy_of(kind: str, obs_dim: int = 4, derivation: Derivation | None = None,
     names = derivation.names if derivation is not None else tuple(f"x{index}" for index in range(obs_dim))
     normaliser = Normaliser(rng.normal(size=obs_dim), rng.uniform(0.5, 2.0, obs_dim), constant=(1,))
     return Policy(actor, normaliser, LOW, HIGH, names, ("valve", "heat"), (), ("", "%"), derivation=derivation)
+
+
+def asking(derivation: Derivation | None = None) -> Policy:
+    """A policy that is asked for a return of 30."""
+    base = policy_of("behaviour-cloning", derivation=derivation)
+    rng = np.random.default_rng(1)
+    network = init_mlp(jr.key(0), (base.obs_dim + 1, 8, base.act_dim))
+    network = jax.tree.map(lambda leaf: jnp.asarray(rng.normal(size=leaf.shape), leaf.dtype), network)
+    numbers = (jnp.asarray(number) for number in (30.0, 20.0, 10.0))
+    return replace(base, actor=ReturnConditionedActor(network, *numbers))
 
 
 def remembering(lags: int = 2, differences: bool = True) -> Derivation:

@@ -1,6 +1,7 @@
 """Actors: what a trained policy is. Gaussian ones, squashed by a tanh or cut to the bounds, and a deterministic one."""
 
 import abc
+from typing import ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -27,6 +28,9 @@ class Actor(eqx.Module):
     keeps it in the carry, whose arrays have a leading axis of rows: `begin` makes it, `act` and `observe` hand on the
     next one. All methods but `begin` may be traced.
     """
+
+    takes_rewards: ClassVar[bool] = False
+    """Whether actions depend on the rewards that earlier ones earned, so that `observe` has to be told of them."""
 
     def begin(self, rows: int) -> PyTree:
         """The carry before the first step of `rows` episodes that are played side by side."""

@@ -30,6 +30,7 @@ from odaf.components.policies import (
 )
 from odaf.components.priors import Priors
 from odaf.components.ranked_actors import PerturbedActor, RankedGaussianActor
+from odaf.components.return_conditioned import ReturnConditionedActor
 from odaf.errors import ConfigError
 
 KINDS: dict[str, type[eqx.Module]] = {
@@ -46,6 +47,7 @@ KINDS: dict[str, type[eqx.Module]] = {
     "perturbed": PerturbedActor,
     "priors": Priors,
     "ranked-gaussian": RankedGaussianActor,
+    "return-conditioned": ReturnConditionedActor,
     "unsquashed-gaussian": UnsquashedGaussianActor,
 }
 """Modules that files may name. Add a class of your own under a name of its own to store actors made of it; it must be

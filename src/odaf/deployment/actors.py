@@ -2,7 +2,8 @@
 
 An actor of a package of its own is exported once its class stands in `DESCRIPTIONS`. Its function takes the builder,
 the actor and the normalised observation, and returns the action in [-1, 1]; what the actor carries is read with
-`Builder.remembered` and handed on with `Builder.remember`.
+`Builder.remembered` and handed on with `Builder.remember`. A step that is refused leaves it as it was. The function of
+an actor that `takes_rewards` is also given the reward of the action before.
 """
 
 from collections.abc import Callable
@@ -23,15 +24,22 @@ from odaf.components.policies import (
     UnsquashedGaussianActor,
 )
 from odaf.components.ranked_actors import PerturbedActor, RankedGaussianActor
+from odaf.components.return_conditioned import ReturnConditionedActor
 from odaf.deployment.networks import mlp
 from odaf.deployment.program import Builder, Value
 from odaf.errors import ConfigError
 
-Description = Callable[[Builder, Any, Value], Value]
+Description = Callable[..., Value]
 
 
-def described(builder: Builder, actor: Actor, observation: Value) -> Value:
+def described(builder: Builder, actor: Actor, observation: Value, *rewards: Value) -> Value:
     """The actor's deterministic action in [-1, 1].
+
+    Args:
+        builder: of the program.
+        actor: to describe.
+        observation: normalised.
+        *rewards: what the action before has earned, where the actor takes rewards; 0 in the first step.
 
     Raises:
         ConfigError: nobody said how actors of this class act, or its parameters are not finite.
@@ -44,7 +52,7 @@ def described(builder: Builder, actor: Actor, observation: Value) -> Value:
             f"{type(actor).__name__}: no description of how it acts{memory}; register one as "
             f"odaf.deployment.actors.DESCRIPTIONS[{type(actor).__name__}]. There are {known}"
         )
-    return describe(builder, actor, observation)
+    return describe(builder, actor, observation, *rewards)
 
 
 def _squashed_mean(builder: Builder, actor: Any, observation: Value) -> Value:
@@ -76,6 +84,15 @@ def _best_of_decoded(builder: Builder, actor: PerturbedActor, observation: Value
     return _best(builder, actor.critic, observation, clipped(builder, moved, "actor/bound", -1.0, 1.0))
 
 
+def _return_conditioned(builder: Builder, actor: ReturnConditionedActor, observation: Value, reward: Value) -> Value:
+    before = builder.remembered("return_to_go", [float(actor.start)])
+    wanted = builder("subtract", before, reward)
+    builder.remember(before, wanted)
+    wanted = builder("subtract", wanted, builder.parameter("actor/mean", actor.mean))
+    wanted = builder("divide", wanted, builder.parameter("actor/std", actor.std))
+    return clipped(builder, mlp(builder, actor.network, "actor/network", observation, wanted), "actor/bound", -1.0, 1.0)
+
+
 def _best(builder: Builder, critic: Any, observation: Value, candidates: Value) -> Value:
     return builder("best", mlp(builder, critic, "actor/critic", observation, candidates), candidates)
 
@@ -93,6 +110,7 @@ DESCRIPTIONS: dict[type[Actor], Description] = {
     NarrowGaussianActor: _squashed_mean,
     PerturbedActor: _best_of_decoded,
     RankedGaussianActor: _best_of_gaussian,
+    ReturnConditionedActor: _return_conditioned,
     UnsquashedGaussianActor: _squashed,
 }
 """By the actor's class, not those derived from it."""

@@ -22,7 +22,7 @@ from odaf.deployment.guard import GuardedPolicy
 from odaf.deployment.guard_file import FORMAT as GUARD_FORMAT
 from odaf.deployment.guard_program import guarded_program
 from odaf.deployment.onnx_form import imported, write_onnx
-from odaf.deployment.policies import OBSERVATION, action_names, policy_program, with_formulas_outside
+from odaf.deployment.policies import OBSERVATION, action_names, input_columns, policy_program, with_formulas_outside
 from odaf.deployment.safetensors_form import RUNNER, write_safetensors
 from odaf.errors import ConfigError, DatasetError, OdafWarning
 from odaf.training.files import plain, write_json
@@ -244,7 +244,7 @@ def _about(policy: Policy, max_change: Mapping[str, float]) -> list[str]:
     names = action_names(policy)
     units = dict(zip(names, policy.action_units, strict=False))
     lines = ["A policy that odaf exported. Not a safety case: see contract.json.", ""]
-    lines.append(f"{OBSERVATION}: {', '.join(policy.reading_names)}")
+    lines.append(f"{OBSERVATION}: {', '.join(input_columns(policy))}")
     for name, low, high in zip(names, policy.action_low, policy.action_high, strict=True):
         limit = f", changes by at most {max_change[name]:g} a step" if name in max_change else ""
         lines.append(f"action {name}: {low:g} to {high:g} {units.get(name, '')}".rstrip() + limit)

@@ -43,7 +43,7 @@ class Trials:
     """Episodes to run.
 
     Attributes:
-        observations: [episodes, steps, columns] float32.
+        observations: [episodes, steps, columns] float32, as the forms take them: the last reward among them, if asked.
         played: [episodes, steps, act_dim] float32, what somebody else played; NaN where the action itself was.
     """
 
@@ -114,6 +114,9 @@ def make_trials(policy: Policy, ranges: Mapping[str, Any] | None, remembers: boo
     played[:, : policy.history] = rng.uniform(
         policy.action_low, policy.action_high, (shape[0], min(policy.history, steps), policy.act_dim)
     )
+    if policy.actor.takes_rewards:
+        rewards = 10.0 ** rng.uniform(-2.0, 2.0, (*shape[:2], 1)) * rng.standard_normal((*shape[:2], 1))
+        observations = np.concatenate([observations, rewards], axis=2)
     return Trials(np.clip(observations, -_LARGEST, _LARGEST).astype(np.float32), played.astype(np.float32))
 
 
@@ -131,7 +134,11 @@ def expected(policy: Policy, trials: Trials, max_change: Mapping[str, float]) ->
     actions = np.empty_like(trials.played)
     with jax.default_matmul_precision("highest"):
         for step in range(steps):
-            found, carry = policy.act(carry, trials.observations[:, step])
+            given = trials.observations[:, step]
+            if policy.actor.takes_rewards:
+                given, rewards = given[:, :-1], given[:, -1]
+                carry = policy.observe(carry, rewards)
+            found, carry = policy.act(carry, given)
             if max_change:
                 limited = np.clip(np.clip(found.astype(np.float64), last - change, last + change), low, high)
                 found = np.where(np.isnan(last), found, limited).astype(np.float32)

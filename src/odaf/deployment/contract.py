@@ -7,7 +7,7 @@ from typing import Any
 
 import odaf
 from odaf.data.expressions import Expression
-from odaf.deployment.policies import action_names
+from odaf.deployment.policies import REWARD, action_names, input_columns
 from odaf.training.policy import Policy
 
 FORMAT, VERSION = "odaf-contract", 1
@@ -57,7 +57,7 @@ def contract(
         "format": FORMAT,
         "version": VERSION,
         "odaf": odaf.__version__,
-        "observation": [_reading(policy, name, formulas, ranges) for name in policy.reading_names],
+        "observation": [_reading(policy, name, formulas, ranges) for name in input_columns(policy)],
         "action": [
             {
                 "name": name,
@@ -86,6 +86,9 @@ def contract(
 def _reading(
     policy: Policy, name: str, formulas: Mapping[str, Expression], ranges: Mapping[str, Any] | None
 ) -> dict[str, Any]:
+    if name == REWARD and policy.actor.takes_rewards:
+        meaning = "the reward, in the log's units, of what was done in the step before; 0 in the first step"
+        return {"name": name, "unit": "", "logged_low": None, "logged_high": None, "ignored": False, "meaning": meaning}
     index = policy.observation_names.index(name)
     found = {
         "name": name,

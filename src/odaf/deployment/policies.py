@@ -7,7 +7,9 @@ remembered, so the next one stands as if it had not been.
 
 Carries: `observations_before` [history x parts], the latest first, where observations hold lags or differences, and
 `actions_before` [steps x act_dim], the latest first, where they hold earlier actions or the change of an action is
-limited. An unknown number is NaN; the first action of an episode is not limited.
+limited. An unknown number is NaN; the first action of an episode is not limited. An actor with a memory has carries of
+its own: `return_to_go`, for one that is asked for a return. Such an actor is told what was earned: `last_reward`, the
+last column of `observation`, is the reward of what was done in the step before, and 0 in the first.
 """
 
 import math
@@ -24,6 +26,7 @@ from odaf.errors import ConfigError
 from odaf.training.policy import Policy
 
 OBSERVATION, ACTION = "observation", "action"
+REWARD = "last_reward"  # the last column of the observation of a policy whose actor takes rewards
 
 
 @dataclass(frozen=True)
@@ -43,6 +46,7 @@ class Described:
         action: in the user's units, within bounds and limits; rubbish where `readable` or `known` is 0.
         observations_before: carry; None where nothing is remembered.
         actions_before: carry; None where nothing is remembered.
+        actor_memory: what the actor remembers, before the step and after it.
     """
 
     builder: Builder
@@ -57,6 +61,7 @@ class Described:
     action: Value
     observations_before: Value | None
     actions_before: Value | None
+    actor_memory: tuple[tuple[Value, Value], ...] = ()
 
     def program(
         self, verdict: Value | None = None, more: Mapping[str, tuple[Value, Sequence[str]]] | None = None
@@ -93,6 +98,8 @@ class Described:
                 kept = before.width - latest.width
                 after = build("concatenate", latest, build("slice", before, first=0, last=kept)) if kept else latest
                 build.remember(before, build("select", moves, after, before), of)
+        for before, after in self.actor_memory:
+            build.remember(before, build("select", moves, after, before))
         build.output(ACTION, action, action_names(self.policy), self.policy.action_units)
         for name, (value, columns) in (more or {}).items():
             build.output(name, value, columns)
@@ -120,9 +127,13 @@ def describe(policy: Policy, max_change: Mapping[str, float] | None = None) -> D
         _refuse_formulas(derivation)
     limits = _limits(policy, max_change or {})
     units = dict(zip(policy.observation_names, policy.observation_units, strict=False))
-    names = policy.reading_names
-    observation = build.input(OBSERVATION, names, [units.get(name, "") for name in names])
-    readable = build("smallest", build("finite", observation), axis=WIDTH)
+    names, columns = policy.reading_names, input_columns(policy)
+    given = build.input(OBSERVATION, columns, [units.get(name, "") for name in columns])
+    readable = build("smallest", build("finite", given), axis=WIDTH)
+    observation, rewards = given, ()
+    if columns != names:
+        observation = build("slice", given, first=0, last=len(names))
+        rewards = (build("slice", given, first=len(names), last=len(columns)),)
 
     lags = 0 if derivation is None else derivation.lags
     before, acts = policy.history * len(names), max(lags, int(bool(limits))) * policy.act_dim
@@ -134,7 +145,8 @@ def describe(policy: Policy, max_change: Mapping[str, float] | None = None) -> D
         known = build("smallest", build("finite", seen), axis=WIDTH)
 
     normalised = _normalised(build, policy, seen)
-    scaled = described(build, policy.actor, normalised)
+    scaled = described(build, policy.actor, normalised, *rewards)
+    actor_memory = tuple(build.taken_back())
     action = unscaled(build, policy, scaled)
     if limits and actions_before is not None:
         action = _limited(build, policy, limits, action, actions_before)
@@ -151,6 +163,7 @@ def describe(policy: Policy, max_change: Mapping[str, float] | None = None) -> D
         action,
         observations_before,
         actions_before,
+        actor_memory,
     )
 
 
@@ -160,6 +173,22 @@ def with_formulas_outside(policy: Policy) -> Policy:
         return policy
     parts = tuple((name, None) for name, _ in policy.derivation.parts)
     return replace(policy, derivation=replace(policy.derivation, parts=parts))
+
+
+def input_columns(policy: Policy) -> tuple[str, ...]:
+    """What a step is given: the readings, and where the actor asks for it what the action before has earned.
+
+    Raises:
+        ConfigError: a reading has the name of that reward.
+    """
+    if not policy.actor.takes_rewards:
+        return policy.reading_names
+    if REWARD in policy.reading_names:
+        raise ConfigError(
+            f"{REWARD}: is a reading of this policy, and the column in which each step is told the last reward; read "
+            "the log with another name for it"
+        )
+    return (*policy.reading_names, REWARD)
 
 
 def action_names(policy: Policy) -> tuple[str, ...]:

@@ -148,6 +148,12 @@ class Builder:
         """The next step sees `after` where this one saw `before`; `of` as in `Carry`."""
         self._carries.append(Carry(before, after, self._starts[before.name], of))
 
+    def taken_back(self) -> list[tuple[Value, Value]]:
+        """What was handed to `remember` so far, (before, after) each, as if it had not been: to be handed on otherwise."""
+        found = [(carry.value, carry.next) for carry in self._carries]
+        self._carries.clear()
+        return found
+
     def output(self, name: str, value: Value, columns: Sequence[str] = (), units: Sequence[str] = ()) -> None:
         """Gives a value of one row to whoever runs the program."""
         if value.shape[:WIDTH] != (1, 1) or value.constant:
