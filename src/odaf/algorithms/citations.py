@@ -204,6 +204,22 @@ SDC = Citation(
     2022,
     "AAAI Conference on Artificial Intelligence",
 )
+MBRCSL = Citation(
+    "zhou2024free",
+    ("Zhaoyi Zhou", "Chuning Zhu", "Runlong Zhou", "Qiwen Cui", "Abhishek Gupta", "Simon Shaolei Du"),
+    "Free from Bellman Completeness: Trajectory Stitching via Model-based Return-conditioned Supervised Learning",
+    2024,
+    "International Conference on Learning Representations",
+    "2310.19308",
+)
+DENOISING_DIFFUSION = Citation(
+    "ho2020denoising",
+    ("Jonathan Ho", "Ajay Jain", "Pieter Abbeel"),
+    "Denoising Diffusion Probabilistic Models",
+    2020,
+    _NEURIPS,
+    "2006.11239",
+)
 CLONING = Citation(
     "pomerleau1988alvinn",
     ("Dean A. Pomerleau",),

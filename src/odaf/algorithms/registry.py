@@ -22,6 +22,7 @@ from odaf.algorithms.brac import BRAC
 from odaf.algorithms.cql import CQL
 from odaf.algorithms.ensemble_sac import EnsembleSAC
 from odaf.algorithms.iql import IQL
+from odaf.algorithms.mbrcsl import MBRCSL
 from odaf.algorithms.rebrac import ReBRAC
 from odaf.algorithms.scas import SCAS
 from odaf.algorithms.spot import SPOT
@@ -94,7 +95,7 @@ ALGORITHMS: Registry[type[Algorithm]] = Registry(
     Algorithm,
     lambda entry: getattr(entry, "kind", None),
     "odaf.algorithms",
-    (EnsembleSAC, BehaviourCloning, TD3BC, IQL, ReBRAC, SPOT, SVR, SCAS, BCQ, BEAR, BRAC, CQL, ATAC),
+    (EnsembleSAC, BehaviourCloning, TD3BC, IQL, ReBRAC, SPOT, SVR, SCAS, BCQ, BEAR, BRAC, CQL, ATAC, MBRCSL),
 )
 TERMS: Registry[type[Term]] = Registry(Term, lambda entry: getattr(entry, "name", None), "odaf.terms", BUILT_IN)
 

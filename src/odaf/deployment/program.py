@@ -149,7 +149,7 @@ class Builder:
         self._carries.append(Carry(before, after, self._starts[before.name], of))
 
     def taken_back(self) -> list[tuple[Value, Value]]:
-        """What was handed to `remember` so far, (before, after) each, as if it had not been: to be handed on otherwise."""
+        """(before, after) of whatever was handed to `remember` so far, which is then as if it had not been."""
         found = [(carry.value, carry.next) for carry in self._carries]
         self._carries.clear()
         return found

@@ -1,6 +1,6 @@
 """Logs of scripted drivers in a maze: no episode takes the good path, yet its pieces are all there.
 
-The default configuration rebuilds the PointMaze task of the MBRCSL paper (Zhou et al. 2023): half of the episodes
+The default configuration rebuilds the PointMaze task of the MBRCSL paper (Zhou et al. 2024): half of the episodes
 drive from the start to a junction and wait; the other half reach the goal, but by a detour that crosses the junction.
 The best policy drives start, junction, goal, which nobody logged.
 

@@ -61,7 +61,8 @@ def program_of(algorithm: Algorithm, dataset: Dataset) -> tuple[Any, ...]:
     structure = split(algorithm)[0]
     # Where batches are mixed from two parts, the border between them is part of the program.
     mixed = None if dataset.mixture is None else (id(dataset), algorithm.drawn_view())
-    return structure, None if algorithm.can_be_padded() else widths_of(dataset.spec()), mixed
+    spec = dataset.spec()
+    return structure, None if algorithm.can_be_padded() else widths_of(spec), algorithm.sizes(spec), mixed
 
 
 def train_in_lanes(
