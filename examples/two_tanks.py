@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import odaf
-from odaf.environments.two_tanks import OBSERVATIONS, TwoTanks, write_log
+from odaf.environments.two_tanks import TwoTanks, read_log, write_log
 
 SMALL: dict[str, Any] = {"hidden_sizes": (32, 32), "batch_size": 128}
 VALUED: dict[str, Any] = {"discount": 0.95}  # of what learns from rewards
@@ -23,21 +23,6 @@ POLICIES: dict[str, tuple[str, int]] = {
     "undertrained": ("rebrac", 200),
 }
 """Name to preset and updates."""
-
-
-def read_log(path: Path) -> odaf.Dataset:
-    """The log of `write_log`, feed in percent."""
-    return odaf.Dataset.load(
-        path,
-        units_row=True,
-        episode="shift",
-        time="time",
-        terminated="tripped",
-        observations=list(OBSERVATIONS),
-        actions=["feed"],
-        action_bounds={"feed": (0.0, 100.0)},
-        reward="profit",
-    )
 
 
 def train(name: str, data: Path, directory: Path) -> odaf.Run:

@@ -14,6 +14,7 @@ from odaf.environments.two_tanks import (
     SHIFT_STEPS,
     TRIP_COST,
     TwoTanks,
+    read_log,
     write_log,
 )
 
@@ -62,7 +63,7 @@ def test_the_log_reads_as_its_page_says_and_repeats(tmp_path: Path):
     assert (tmp_path / "plant.csv").read_bytes() == (tmp_path / "again.csv").read_bytes()
     write_log(tmp_path / "other.csv", 12, seed=1)
     assert (tmp_path / "plant.csv").read_bytes() != (tmp_path / "other.csv").read_bytes()
-    log = example.read_log(tmp_path / "plant.csv")
+    log = read_log(tmp_path / "plant.csv")
     assert log.num_episodes == 12 and log.observation_names == OBSERVATIONS
     assert log.observation_units == ("m", "m", "m", "%", "%") and log.action_units == ("%",)
     assert log.episode_lengths().max() == SHIFT_STEPS - 1  # of the last row nobody knows what followed

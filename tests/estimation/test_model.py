@@ -65,13 +65,21 @@ def test_rollouts_of_a_known_plant_are_exact(high: float):
     log.member_counts = np.array([[1.0, 2.0, 0.0], [0.0, 0.0, 3.0]])
     policy = constant(dataset)
     fitted = FittedModel(plant(-100.0, high), log, 0.0, np.arange(3), jr.key(1))
-    found = fitted.values(Player(policy.actor, np.array([5.0]), np.array([2.0]), draws=False))
+    played = fitted.play(Player(policy.actor, np.array([5.0]), np.array([2.0]), draws=False))
+    found = played.values
     starts = log.observations[log.starts, 0].astype(np.float64)
     for place, discount in enumerate((GAMMA, 1.0)):
         known = np.array([[by_hand(s, ACTION, m, discount, high) for s in starts] for m in range(MEMBERS)])
         np.testing.assert_allclose(found[place, :, 0], known.mean(axis=(0, 1)), rtol=1e-4)
         np.testing.assert_allclose(found[place, :, 1], (known[0, 0] + 2 * known[0, 1]) / 3, rtol=1e-4)
         np.testing.assert_allclose(found[place, :, 2], known[1, 2], rtol=1e-4)
+    visited = played.visited
+    assert visited.states.shape == (STEPS, MEMBERS * 3, 1)  # of every start, which are few
+    np.testing.assert_allclose(visited.running[:, :3], 0.75 ** np.arange(STEPS)[:, None] * np.ones(3), rtol=1e-5)
+    np.testing.assert_allclose(visited.running[:, 3:], 0.5 ** np.arange(STEPS)[:, None] * np.ones(3), rtol=1e-5)
+    follows = np.minimum(starts + 0.5 * (DRIFT[1] + ACTION), high)
+    np.testing.assert_allclose(visited.states[0, 3:, 0], follows, rtol=1e-4)
+    np.testing.assert_allclose(visited.rewards[1, 3:], np.minimum(3.0 + 2.0 * follows, high), rtol=1e-4)
 
 
 class _Mirror(UnsquashedGaussianActor):
@@ -88,7 +96,7 @@ def test_an_actor_sees_states_through_its_own_normaliser():
     model = eqx.tree_at(lambda tree: tree.ends.biases[0], plant(), jnp.full((MEMBERS, 1), -60.0))
     fitted = FittedModel(model, log, 0.0, np.arange(3), jr.key(1))
     actor = _Mirror(linear(np.zeros((1, 1)), np.zeros(1)), jnp.zeros(1))
-    found = fitted.values(Player(actor, np.array([0.5]), np.array([4.0]), draws=False))
+    found = fitted.play(Player(actor, np.array([0.5]), np.array([4.0]), draws=False)).values
     starts = log.observations[log.starts, 0].astype(np.float64)
     raw = dataset.observations[log.starts, 0].astype(np.float64)
     known = [3 + 2 * s + 3 + 2 * (s + 0.5 * (DRIFT.mean() + (r - 0.5) / 4.0)) for s, r in zip(starts, raw, strict=True)]
@@ -113,16 +121,20 @@ def test_a_learnt_model_finds_the_known_value_of_a_linear_plant_with_chance_ends
     assert model.verdict == "better" and abs(model.figures["control"] - found.behaviour.value) < 0.2
 
 
-def test_the_blend_is_the_mean_of_both_calibrated_values_and_says_what_divides_them():
+def test_the_blend_lies_between_both_calibrated_values_by_their_weights_and_says_what_divides_them():
     dataset = gliding(60, ends=True)
     settings = dataclasses.replace(SMALL, steps=300)
     found = estimate(gaussian(dataset, 0.3, -0.2), dataset, settings=settings)
     blend, fqe, model = (found[name] for name in ("blend", "fqe", "model"))
     assert blend.value and fqe.calibrated and model.calibrated and blend.difference
-    np.testing.assert_allclose(blend.value.value, (fqe.calibrated.value + model.calibrated.value) / 2)
+    by_fqe, by_model = (blend.figures[f"weight_{name}"] for name in ("fqe", "model"))
+    np.testing.assert_allclose(by_fqe + by_model, 1.0)
+    mean = by_fqe * fqe.calibrated.value + by_model * model.calibrated.value
+    np.testing.assert_allclose(blend.value.value, mean)
     np.testing.assert_allclose(blend.difference.value, blend.value.value - found.behaviour.value)
     half = (blend.value.high - blend.value.low) / 2
-    apart = abs(fqe.calibrated.value - model.calibrated.value) / 2
+    apart = np.sqrt(by_fqe * by_model) * abs(fqe.calibrated.value - model.calibrated.value)
     assert half > 3.18 * apart  # Student's factor for four members
+    assert found.unlike_states is not None and 0.0 <= found.unlike_states <= 1.0
     alone = estimate(gaussian(dataset, 0.3, -0.2), dataset, method="blend", settings=settings)
     assert [each.method for each in alone.estimates] == ["blend"] and alone["blend"].value == blend.value

@@ -26,7 +26,7 @@ def says(value: float, verdict: Any = "not decided") -> tuple[Valuation, ...]:
     wrong = Interval(-value, -value, -value)  # the calibrated one counts
     made = ValueEstimate("fqe", wrong, None, interval, verdict, "why", calibrated=interval, probability_better=0.5)
     own = Interval(0.0, -1.0, 1.0)
-    return (Valuation({}, own, own, (made,), 5, 1.0, "mode", 9, 0.95, 0.0, ("beware",)),)
+    return (Valuation({}, own, own, (made,), 5, 1.0, "mode", 9, 0.95, 0.0, None, ("beware",)),)
 
 
 @pytest.fixture(scope="module")

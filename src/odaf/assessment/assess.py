@@ -23,8 +23,8 @@ from odaf.estimation.valuation import Verdict
 from odaf.training.files import plain
 from odaf.training.policy import Policy
 
-DECIDES = ("blend", "fqe")
-"""Estimators by which the verdict goes, the first that gave an answer."""
+DECIDES = "blend"
+"""Estimator by which verdict and conditions go."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +36,6 @@ class Assessment:
         reasons: why, as sentences.
         reservations: what to look at besides.
         valuation: values by every estimator that can judge a deployed policy.
-        decides: name of the estimator that the verdict goes by.
         kept: conditions, logged and to be expected of the policy.
         columns: actions beside the logged ones.
         guard: calibrated on the hold-out; None where none could be made.
@@ -54,7 +53,6 @@ class Assessment:
     reasons: tuple[str, ...]
     reservations: tuple[str, ...]
     valuation: Valuation
-    decides: str
     kept: tuple[Kept, ...]
     columns: tuple[actions.ActionColumn, ...]
     guard: GuardedPolicy | None
@@ -69,7 +67,7 @@ class Assessment:
     @property
     def decisive(self) -> ValueEstimate:
         """The estimate that the verdict goes by."""
-        return self.valuation[self.decides]
+        return self.valuation[DECIDES]
 
     @property
     def promised(self) -> Interval | None:
@@ -85,7 +83,7 @@ class Assessment:
                 "verdict": self.verdict,
                 "reasons": list(self.reasons),
                 "reservations": list(self.reservations),
-                "decides": self.decides,
+                "decides": DECIDES,
                 "value": self.valuation.to_dict(),
                 "keep": [dataclasses.asdict(each) | {"worse": each.worse} for each in self.kept],
                 "actions": [actions.to_dict(column) for column in self.columns],
@@ -100,7 +98,7 @@ class Assessment:
     def __str__(self) -> str:
         lines = [f"{self.verdict.upper()}: {'; '.join(self.reasons)}", ""]
         lines.append(
-            f"value of an episode: {self.promised or 'refused'} ({self.decides}); whoever wrote the log "
+            f"value of an episode: {self.promised or 'refused'} ({DECIDES}); whoever wrote the log "
             f"{self.valuation.behaviour}; to step {self.valuation.horizon:,}, {self.valuation.confidence:.0%} intervals"
         )
         lines += [str(each) for each in self.kept]
@@ -169,7 +167,6 @@ def assess(
     valuation = estimate(
         policy, dataset, discount=discount, horizon=horizon, seed=seed, settings=settings, progress=say.part(0)
     )
-    decides = next((name for name in DECIDES if valuation[name].verdict != "refused"), DECIDES[-1])
     kept = tuple(
         _kept(condition, policy, dataset, valuation, seed, settings, say.part(1 + index))
         for index, condition in enumerate(conditions)
@@ -185,13 +182,12 @@ def assess(
         say.part(parts - 1),
     )
     report = dataset.check()
-    verdict, reasons = verdict_of(valuation[decides], kept, report)
+    verdict, reasons = verdict_of(valuation[DECIDES], kept, report)
     return Assessment(
         verdict,
         tuple(reasons),
         tuple(reservations(valuation, columns, guarded, report)),
         valuation,
-        decides,
         kept,
         columns,
         guarded,
@@ -265,12 +261,12 @@ def _kept(
     found = estimate(
         policy,
         condition.as_log(dataset),
-        method="fqe",
+        method=DECIDES,
         horizon=valuation.horizon,
         seed=seed,
         settings=settings,
         progress=progress,
-    )["fqe"]
+    )[DECIDES]
     told = found.calibrated or found.value
     if found.verdict == "refused" or told is None:
         return Kept(condition.text, episodes, broken, logged, None, f"cannot be told: {found.reason}")

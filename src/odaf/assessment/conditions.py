@@ -2,8 +2,8 @@
 
 An episode breaks a condition with the first row whose action leads to a state that breaks it, or, where the condition
 names actions, that holds such an action. Rows after that one are left out and it earns 1, all others nothing, so that
-the sum of an episode's rewards is whether it breaks the condition, and its expectation is the probability: fitted Q
-evaluation of that log says what the policy would do (`odaf.estimation`), and its episodes what whoever wrote it did.
+the sum of an episode's rewards is whether it breaks the condition, and its expectation is the probability: an estimate
+from that log says what the policy would do (`odaf.estimation`), and its episodes what whoever wrote it did.
 """
 
 from collections.abc import Sequence

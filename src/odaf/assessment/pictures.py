@@ -4,7 +4,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from odaf.assessment.after import Aftermath, ratios
-from odaf.assessment.assess import Assessment
+from odaf.assessment.assess import DECIDES, Assessment
 from odaf.data import Dataset
 from odaf.estimation import Interval
 from odaf.report.chart import NARROW, WIDE, Chart, chart_svg
@@ -23,7 +23,7 @@ def values_chart(found: Assessment, after: Aftermath | None) -> Chart:
     for each in found.valuation.estimates:
         told = each.calibrated or each.value
         if told is not None and each.verdict != "refused":
-            rows.append((each.method, told, each.method == found.decides))
+            rows.append((each.method, told, each.method == DECIDES))
     if after is not None:
         rows.append(("once it ran", after.value, False))
     svg = chart_svg(
@@ -34,7 +34,7 @@ def values_chart(found: Assessment, after: Aftermath | None) -> Chart:
         "What an episode is worth", svg,
         f"{found.valuation.confidence:.0%} intervals over episodes, in the log's unit of reward, to step "
         f"{found.valuation.horizon:,}. The band is what whoever wrote the log earned; the verdict goes by "
-        f"{found.decides}.",
+        f"{DECIDES}.",
     )  # fmt: skip
 
 

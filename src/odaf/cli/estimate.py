@@ -22,9 +22,10 @@ class EstimateOptions:
     estimator says better, worse or not decided, and refuses where the log cannot tell, with the reason.
 
     fqe fits what the policy's actions are worth, step by step; model plays the policy in a fitted model of the plant;
-    blend is the mean of both, calibrated by what the log earned. These ask for no density. wis (whole episodes), pdis
-    (per decision) and dr (doubly robust) weigh logged episodes by how much more probable the policy makes their
-    actions; they need --acting draws and policies that have a density, and long episodes leave them few effective ones.
+    blend is the weighed mean of both, calibrated by what the log earned. These ask for no density. wis (whole
+    episodes), pdis (per decision) and dr (doubly robust) weigh logged episodes by how much more probable the policy
+    makes their actions; they need --acting draws and policies that have a density, and long episodes leave them few
+    effective ones.
     """
 
     run: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RUN")]

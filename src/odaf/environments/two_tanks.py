@@ -20,6 +20,8 @@ from typing import Any
 
 import numpy as np
 
+from odaf.data.dataset import Dataset
+
 OBSERVATIONS = ("level1", "level2", "setpoint", "demand", "feed_before")
 UNITS = {"level1": "m", "level2": "m", "setpoint": "m", "demand": "%", "feed_before": "%", "feed": "%", "profit": "EUR"}
 SHIFT_STEPS = 240
@@ -137,3 +139,18 @@ def write_log(path: Path, shifts: int = 120, seed: int = 0, progress: Callable[[
                 seen, ended, step = after, tripped or cut, step + 1
             if progress is not None:
                 progress(shift + 1, shifts)
+
+
+def read_log(path: Path) -> Dataset:
+    """The log of `write_log`, feed in percent of what the valve can do."""
+    return Dataset.load(
+        path,
+        units_row=True,
+        episode="shift",
+        time="time",
+        terminated="tripped",
+        observations=list(OBSERVATIONS),
+        actions=["feed"],
+        action_bounds={"feed": (0.0, 100.0)},
+        reward="profit",
+    )

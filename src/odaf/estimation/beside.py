@@ -3,8 +3,8 @@
 Fitted Q and rollouts of a model judge the behaviour itself too, whose value is known from the log, and that serves
 twice. It is the control: where an estimator misses what the log earned, it does not hold for this log. And it
 calibrates: to what the log earned is added by how much the estimator puts the policy above the behaviour, member by
-member, so that what it gets wrong for both cancels. The blend is the mean of both calibrated values; half of what they
-differ by is a standard error beside that of the members.
+member, so that what it gets wrong for both cancels. The model says, too, where the policy comes to, and so how much of
+what it earns the log leaves open.
 """
 
 from collections.abc import Sequence
@@ -24,6 +24,7 @@ from odaf.estimation.evidence import Evidence, Stages, draws, modes
 from odaf.estimation.fitted_q import FittedQ, fit_q
 from odaf.estimation.model import Player, fit_model
 from odaf.estimation.of_policy import ByMembers, Judged, OfPolicy
+from odaf.estimation.outcomes import KnownOutcomes
 from odaf.estimation.settings import Acting
 from odaf.estimation.valuation import Valuation
 from odaf.training.policy import Policy
@@ -80,16 +81,19 @@ class Beside:
         fitted = self._fit(density, stages.next()) if wants_q else []
         model = fit_model(self.log, self.key_model, stages.next()) if "model" in needed else None
         behaviour = Player(density.model, np.zeros(()), np.ones(()), True)
-        modelled = None if model is None else model.values(replace(behaviour, **_scaling(self.log.normaliser)))
+        modelled = None if model is None else model.play(replace(behaviour, **_scaling(self.log.normaliser))).values
+        outcomes = None if model is None else KnownOutcomes(self.log)
         found = []
         for number, judged in enumerate(self.judged):
             known = replace(judged, unlike=density.share_unlike(self.log.actions, judged.actions[:, 0]))
-            by_model = None
-            if model is not None and modelled is not None:
+            by_model = unknown = None
+            if model is not None and modelled is not None and outcomes is not None:
                 player = Player(judged.policy.actor, **_scaling(judged.policy.normaliser), draws=self.acting == "draws")
-                by_model = ByMembers(model.values(player), modelled, {"loss": model.loss})
+                played = model.play(player)
+                by_model = ByMembers(played.values, modelled, {"loss": model.loss})
+                unknown = outcomes.unknown(played.visited)
             own_q = (fitted[number], fitted[-1]) if wants_q else None
-            of_policy = OfPolicy(self.log, self.acting, known, own_q, by_model, density, log_probs)
+            of_policy = OfPolicy(self.log, self.acting, known, own_q, by_model, unknown, density, log_probs)
             found.append(of_policy.valuations(methods))
         stages.finished()
         return found

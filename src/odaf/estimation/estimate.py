@@ -27,7 +27,7 @@ ACTING = get_args(Acting)
 ESTIMATORS: dict[str, str] = {
     "fqe": "fitted Q evaluation",
     "model": "rollouts of a fitted model",
-    "blend": "the mean of both, calibrated",
+    "blend": "the weighed mean of both, calibrated",
     "wis": "weighted importance sampling of whole episodes",
     "pdis": "weighted per-decision importance sampling",
     "dr": "weighted doubly robust",

@@ -15,13 +15,14 @@ learnt, members are not mixed within a rollout, no early stopping.
 
 import functools
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import jax.random as jr
 import numpy as np
-from jaxtyping import Array, Float, PRNGKeyArray
+from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from odaf.components.dynamics import DynamicsConfig, untrained
 from odaf.components.dynamics.gaussian_ensemble import GaussianEnsembleDynamics
@@ -29,9 +30,11 @@ from odaf.components.fitting import Batch, Progress, fit
 from odaf.components.networks import MLP, init_mlp
 from odaf.components.policies import Actor
 from odaf.estimation.evidence import Evidence
+from odaf.estimation.outcomes import Visited
 
 STRETCH = 1_000
 MOST_STARTS = 256
+WATCHED = 8  # starts whose episodes are returned step by step
 ROUNDING = 1e-6  # of the largest change: less is no change
 
 
@@ -93,6 +96,19 @@ class Player:
     draws: bool
 
 
+class Played(NamedTuple):
+    """What a player earns in the model, and where it comes to.
+
+    Attributes:
+        values: what it earns, and the steps that an episode lasts: [discounts, 2, 1 + members] float64; first the mean
+            of all members, then every member at its own starts.
+        visited: every member's steps from a few of the starts.
+    """
+
+    values: np.ndarray
+    visited: Visited
+
+
 @dataclass(frozen=True, eq=False)
 class FittedModel:
     """A fitted model and the log that it was fitted to."""
@@ -103,29 +119,33 @@ class FittedModel:
     starts: np.ndarray  # numbers of the episodes whose first states are played from
     key: PRNGKeyArray
 
-    def values(self, player: Player) -> np.ndarray:
-        """What the player earns, and the steps that an episode lasts: [discounts, 2, 1 + members] float64.
-
-        First the mean of all members, then every member at its own starts.
-        """
+    def play(self, player: Player) -> Played:
+        """To the horizon of the log, from the first states of its episodes."""
         log = self.log
         first = jnp.asarray(log.observations[log.starts[self.starts]])
         own = (jnp.asarray(log.normaliser.mean), jnp.asarray(log.normaliser.std))
         theirs = (jnp.asarray(player.mean), jnp.asarray(player.scale))
-        sums = _rollout(
+        watched = np.unique(np.linspace(0, len(self.starts) - 1, WATCHED).astype(np.int64))
+        sums, (states, running, rewards) = _rollout(
             self.model,
             player.actor,
             (*own, *theirs),
             first,
             jnp.asarray(log.discounts, jnp.float32),
             self.key,
+            jnp.asarray(watched),
             log.horizon,
             player.draws,
         )
         found = np.asarray(sums, np.float64)
         counts = log.member_counts[:, self.starts]
         weighed = np.sum(found * counts, axis=3) / np.maximum(np.sum(counts, axis=1), 1.0)
-        return np.concatenate([found.mean(axis=(2, 3))[..., None], weighed], axis=2)
+        values = np.concatenate([found.mean(axis=(2, 3))[..., None], weighed], axis=2)
+        steps = np.asarray(running).reshape(log.horizon, -1)
+        return Played(
+            values,
+            Visited(np.asarray(states).reshape(*steps.shape, -1), steps, np.asarray(rewards).reshape(steps.shape)),
+        )
 
 
 def fit_model(log: Evidence, key: PRNGKeyArray, progress: Progress) -> FittedModel:
@@ -202,14 +222,19 @@ def _rollout(
     starts: Float[Array, "rows obs"],
     discounts: Float[Array, " discounts"],
     key: PRNGKeyArray,
+    watched: Int[Array, " watched"],
     horizon: int,
     draws: bool,
-) -> Float[Array, "discounts 2 members rows"]:
-    """Sums of rewards and of ones, each weighed by discount and by the share that still runs."""
+) -> tuple[Float[Array, "discounts 2 members rows"], tuple[Array, Array, Array]]:
+    """Sums of rewards and of ones, each weighed by discount and by the share that still runs.
+
+    Then, of the starts that are watched, the state that each step led to [horizon, members, watched, obs], the share
+    that still ran when it was taken, and its reward [horizon, members, watched].
+    """
     members, (rows, width) = model.dynamics.bootstraps, starts.shape
     own_mean, own_std, mean, scale = (each[None] for each in scaling)
 
-    def step(carry: Carry, number: Array) -> tuple[Carry, None]:
+    def step(carry: Carry, number: Array) -> tuple[Carry, tuple[Array, Array, Array]]:
         states, runs, weight, sums = carry
         key_act, key_next = jr.split(jr.fold_in(key, number))
         seen = (states.reshape(-1, width) * own_std + own_mean - mean) / scale
@@ -218,7 +243,8 @@ def _rollout(
         following, rewards, ends = model.step(states, actions.reshape(members, rows, -1), normal)
         earned = runs[None] * jnp.stack([rewards, jnp.ones_like(rewards)])
         sums = sums + weight[:, None, None, None] * earned[None]
-        return (following, runs * (1.0 - ends), weight * discounts, sums), None
+        shown = following[:, watched], runs[:, watched], rewards[:, watched]
+        return (following, runs * (1.0 - ends), weight * discounts, sums), shown
 
     carry = (
         jnp.broadcast_to(starts[None], (members, rows, width)),
@@ -226,4 +252,5 @@ def _rollout(
         jnp.ones_like(discounts),
         jnp.zeros((discounts.shape[0], 2, members, rows)),
     )
-    return jax.lax.scan(step, carry, jnp.arange(horizon))[0][3]
+    last, shown = jax.lax.scan(step, carry, jnp.arange(horizon))
+    return last[3], shown

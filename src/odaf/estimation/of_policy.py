@@ -1,15 +1,16 @@
-"""What the estimators say of one policy, and whether the log bears a verdict.
+"""What the estimators say of one policy, and whether the log bears a verdict (`odaf.estimation.judging`).
 
-A verdict is given where the interval of the difference from the behaviour's own value leaves zero out. It is refused
-where the log cannot bear one:
+Estimators are not believed of a log for these reasons:
 
-- weighing estimators: fewer than 10 effective episodes;
-- fitted Q and the model: more than half of the policy's actions are unlike any that the log shows
-  (`odaf.estimation.density`), or the control fails;
-- doubly robust: for the reasons of the weights or of fitted Q; the blend: of fitted Q or the model.
+- weighing ones: fewer than 10 effective episodes;
+- fitted Q and the model: the control fails: asked for the behaviour, they miss what it is known to have earned;
+- doubly robust: for the reasons of the weights or of fitted Q; the blend leaves out which fails, and fails with both.
+
+What unlike states may earn is the model's to say. Without it, or where its control fails, no one knows where the
+policy's actions lead, and all of these are refused if more than half of the actions are unlike the log's.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import jax.numpy as jnp
@@ -20,17 +21,19 @@ from odaf.components.behaviour_models import LARGEST_ACTION
 from odaf.components.fitting import Batch, of_rows
 from odaf.components.policies import Actor
 from odaf.errors import DatasetError
+from odaf.estimation.blend import blend, weights_of
 from odaf.estimation.density import BehaviourDensity
 from odaf.estimation.evidence import Evidence
 from odaf.estimation.fitted_q import FittedQ
 from odaf.estimation.importance import Weights
+from odaf.estimation.judging import LARGEST_SHARE_UNLIKE, judged, why_thin
+from odaf.estimation.outcomes import Unknown
 from odaf.estimation.recorded import by_step
 from odaf.estimation.settings import Acting
-from odaf.estimation.valuation import Interval, Valuation, ValueEstimate, Verdict
+from odaf.estimation.valuation import Interval, Valuation, ValueEstimate
 from odaf.training.policy import Policy
 
 FEWEST_EFFECTIVE_EPISODES = 10.0
-LARGEST_SHARE_UNLIKE = 0.5
 WEIGHING = ("wis", "pdis", "dr")
 
 
@@ -62,7 +65,7 @@ class ByMembers:
 
 
 class OfPolicy:
-    """What is said of one policy; `fitted` is its Q and the behaviour's."""
+    """What is said of one policy; `fitted` is its Q and the behaviour's, `unknown` is by discount."""
 
     def __init__(
         self,
@@ -71,10 +74,11 @@ class OfPolicy:
         judged: Judged,
         fitted: tuple[FittedQ, FittedQ] | None,
         modelled: ByMembers | None,
+        unknown: Sequence[Unknown] | None,
         density: BehaviourDensity,
         log_probs: str | None,
     ) -> None:
-        self.log, self.acting, self.judged = log, acting, judged
+        self.log, self.acting, self.judged, self.unknown = log, acting, judged, unknown
         self.fitted, self.density, self.log_probs = fitted, density, log_probs
         self.by_members: dict[str, ByMembers] = {}
         if fitted is not None:
@@ -92,17 +96,20 @@ class OfPolicy:
         for place, discount in enumerate(log.discounts):
             made: list[ValueEstimate] = []
             doubts = {name: self._doubts(name, place) for name in self.by_members}
+            knows = None if self.unknown is None or doubts["model"] else self.unknown[place]
+            if knows is None and self.judged.unlike > LARGEST_SHARE_UNLIKE:
+                doubts = {name: [*each, why_thin(self.judged.unlike)] for name, each in doubts.items()}
             for name in methods:
                 if name == "blend":
-                    made.append(self._blended(place, [*dict.fromkeys(doubts["fqe"] + doubts["model"])]))
+                    made.append(self._blended(place, doubts, knows))
                 elif name in ("fqe", "model"):
-                    made.append(self._by_members(name, place, doubts[name]))
+                    made.append(self._by_members(name, place, doubts[name], knows))
                 elif weights is None:
                     made.append(ValueEstimate(name, None, None, None, "refused", self.judged.unweighed))
                 else:
                     own = replace(weights, recorded=log.recorded[place])
                     tables = None if robust is None else (robust[0][place], robust[1][place])
-                    made.append(self._by_weights(name, own, tables, place, doubts.get("fqe", [])))
+                    made.append(self._by_weights(name, own, tables, place, doubts.get("fqe", []), knows))
             own, own_steps = log.own[place]
             found.append(
                 Valuation(
@@ -116,6 +123,7 @@ class OfPolicy:
                     episodes=log.dataset.num_episodes,
                     confidence=confidence,
                     unlike=self.judged.unlike,
+                    unlike_states=None if knows is None else knows.share,
                     notes=tuple(self._notes()),
                 )
             )
@@ -149,7 +157,13 @@ class OfPolicy:
         return infos[name].astype(np.float64) + float(np.sum(np.log(self.log.half_ranges)))
 
     def _by_weights(
-        self, name: str, weights: Weights, tables: tuple[np.ndarray, np.ndarray] | None, place: int, doubts: list[str]
+        self,
+        name: str,
+        weights: Weights,
+        tables: tuple[np.ndarray, np.ndarray] | None,
+        place: int,
+        doubts: list[str],
+        knows: Unknown | None,
     ) -> ValueEstimate:
         log, counts = self.log, self.log.counts
         if name == "dr":
@@ -182,6 +196,7 @@ class OfPolicy:
             Interval.of_resamples(float(value[0] - own[0]), value[1:] - own[1:], confidence),
             reasons,
             effective,
+            unknown=knows if name == "dr" else None,
             figures={"complete_episodes": float(complete)} if name == "wis" else {},
             better=float(np.mean(value[1:] > own[1:])),
         )
@@ -220,7 +235,7 @@ class OfPolicy:
         own = np.sum(values * log.member_counts, axis=3) / np.sum(log.member_counts, axis=1)
         return np.concatenate([values.mean(axis=(2, 3))[..., None], own], axis=2)
 
-    def _by_members(self, name: str, place: int, doubts: list[str]) -> ValueEstimate:
+    def _by_members(self, name: str, place: int, doubts: list[str], knows: Unknown | None) -> ValueEstimate:
         each, confidence = self.by_members[name], self.log.settings.confidence
         (value, length), control = each.values[place], each.behaviour[place, 0]
         above = value - control
@@ -231,44 +246,44 @@ class OfPolicy:
             Interval.of_members(*_per_step(value, length), confidence),
             Interval.of_members(float(above[0]), above[1:], confidence),
             doubts,
+            unknown=knows,
             calibrated=Interval.of_members(float(calibrated[0]), calibrated[1:], confidence),
             figures={**each.figures, "control": float(control[0])},
             better=Interval.above_zero(float(above[0]), above[1:]),
         )
 
-    def _blended(self, place: int, doubts: list[str]) -> ValueEstimate:
-        parts = [self.by_members["fqe"], self.by_members["model"]]
+    def _blended(self, place: int, doubts: Mapping[str, list[str]], knows: Unknown | None) -> ValueEstimate:
+        believed = [name for name in ("fqe", "model") if not doubts[name]]
+        names = believed or ["fqe", "model"]
+        parts = [self.by_members[name] for name in names]
         above = [each.values[place, 0] - each.behaviour[place, 0] for each in parts]
-        length = np.mean([each.values[place, 1] for each in parts], axis=0)
-        apart = 0.5 * abs(float(above[0][0] - above[1][0]))
-        mean, confidence = np.mean(above, axis=0), self.log.settings.confidence
-        value = self.log.own_of_members(place) + mean
+        own, confidence = self.log.own_of_members(place), self.log.settings.confidence
+        weights = weights_of(above, [float(each.behaviour[place, 0, 0] - own[0]) for each in parts])
+        mean, apart = blend(above, weights)
+        length, _ = blend([each.values[place, 1] for each in parts], weights)
+        value = own + mean
         return judged(
             "blend",
             Interval.of_members(float(value[0]), value[1:], confidence, apart),
             Interval.of_members(*_per_step(value, length), confidence, apart / float(length[0])),
             Interval.of_members(float(mean[0]), mean[1:], confidence, apart),
-            doubts,
-            figures={},
+            [] if believed else [*dict.fromkeys(doubts["fqe"] + doubts["model"])],
+            unknown=knows,
+            figures={f"weight_{name}": float(weight) for name, weight in zip(names, weights, strict=True)},
             better=Interval.above_zero(float(mean[0]), mean[1:], apart),
         )
 
     def _doubts(self, name: str, place: int) -> list[str]:
         """Why an ensemble should not be believed of this log; the behaviour's own value is the control."""
-        doubts, confidence = [], self.log.settings.confidence
-        if self.judged.unlike > LARGEST_SHARE_UNLIKE:
-            doubts.append(
-                f"{self.judged.unlike:.0%} of the policy's actions are unlike any that the log shows at such states, "
-                "so what they earn is a guess: the overlap is too thin"
-            )
+        confidence = self.log.settings.confidence
         of_behaviour = self.by_members[name].behaviour[place, 0]
         said = Interval.of_members(float(of_behaviour[0]), of_behaviour[1:], confidence)
         values = self.log.own[place][0]
         own = Interval.of_resamples(float(values[0]), values[1:], confidence)
-        if said.high < own.low or said.low > own.high:
-            what = {"fqe": "fitted Q gives", "model": "the model gives"}[name]
-            doubts.append(f"{what} whoever wrote the log {said}, who earned {own}: it does not hold for this log")
-        return doubts
+        if said.high >= own.low and said.low <= own.high:
+            return []
+        what = {"fqe": "fitted Q gives", "model": "the model gives"}[name]
+        return [f"{what} whoever wrote the log {said}, who earned {own}: it does not hold for this log"]
 
     def _notes(self) -> list[str]:
         notes, log = [], self.log
@@ -284,29 +299,6 @@ class OfPolicy:
                 "later there is taken from the other episodes"
             )
         return notes
-
-
-def judged(
-    name: str,
-    value: Interval,
-    per_step: Interval,
-    difference: Interval,
-    reasons: list[str],
-    effective: float | None = None,
-    *,
-    calibrated: Interval | None = None,
-    figures: Mapping[str, float],
-    better: float,
-) -> ValueEstimate:
-    """An estimate with its verdict: refused where there are reasons, else by the interval of the difference."""
-    verdict: Verdict = "refused" if reasons else "not decided"
-    if not reasons and difference.low > 0.0:
-        verdict = "better"
-    elif not reasons and difference.high < 0.0:
-        verdict = "worse"
-    return ValueEstimate(
-        name, value, per_step, difference, verdict, "; ".join(reasons), effective, calibrated, figures, better
-    )
 
 
 def _per_step(value: np.ndarray, length: np.ndarray) -> tuple[float, np.ndarray]:

@@ -110,6 +110,8 @@ class Valuation:
         episodes: in the log.
         confidence: of all intervals, over episodes.
         unlike: share of the policy's actions that are less probable than all but a hundredth of the logged ones.
+        unlike_states: share of its steps that are predicted to lead to states unlike the logged ones; None where no
+            model was fitted, or it does not hold for the log.
         notes: what a reader has to know besides, as sentences.
     """
 
@@ -123,6 +125,7 @@ class Valuation:
     episodes: int
     confidence: float
     unlike: float
+    unlike_states: float | None
     notes: tuple[str, ...]
 
     def __getitem__(self, method: str) -> ValueEstimate:
@@ -154,7 +157,8 @@ class Valuation:
             table(header, rows),
             "",
             f"{self.confidence:.0%} intervals over {self.episodes:,} episodes, to step {self.horizon:,}, {sums}; "
-            f"{self.unlike:.0%} of the policy's actions are unlike the log's",
+            f"{self.unlike:.0%} of the policy's actions are unlike the log's"
+            + ("" if self.unlike_states is None else f", {self.unlike_states:.0%} of the states it would come to"),
         ]
         lines += [f"\n{each.method}: {each.reason}" for each in self.estimates if each.reason]
         return "\n".join([*lines, *(f"\nnote: {note}" for note in self.notes)])

@@ -11,6 +11,7 @@ from odaf.studies.locomotion import STUDY as LOCOMOTION
 from odaf.studies.mixtures import STUDY as MIXTURES
 from odaf.studies.mujoco import STUDY as MUJOCO
 from odaf.studies.outcome import STUDY as OUTCOME
+from odaf.studies.plant import STUDY as PLANT
 from odaf.studies.pointmaze import STUDY as POINTMAZE
 from odaf.studies.rivals import STUDY as RIVALS
 from odaf.studies.scoreboard import STUDY as SCOREBOARD
@@ -22,7 +23,7 @@ from odaf.studies.validation import STUDY as VALIDATION
 STUDIES: dict[str, Study] = {
     study.name: study
     for study in (
-        *(POINTMAZE, OUTCOME, LOCOMOTION, RIVALS, SCOREBOARD, GENERATORS, ESTIMATES, SELECTION, THEORY, GUARD),
+        *(POINTMAZE, OUTCOME, LOCOMOTION, RIVALS, SCOREBOARD, GENERATORS, ESTIMATES, SELECTION, THEORY, GUARD, PLANT),
         *(VALIDATION, ATTACKS, KNOCKS, ABLATION, MIXTURES, MUJOCO, SWEEPS),
     )
 }
