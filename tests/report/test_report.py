@@ -304,6 +304,17 @@ def test_dynamics_model_stands_beside_predicting_no_change(comparison):
     assert ["odaf", "vx", "0.0003", "0.011"] in page.rows
 
 
+def test_the_spread_of_a_dynamics_model_stands_beside_its_error(run_writer, tmp_path):
+    run = run_writer(tmp_path / "run", "odaf", seeds=(0, 1))
+    for seed, inside in ((0, 0.9), (1, 0.7)):
+        path = run / f"seed-{seed}" / "summary.json"
+        summary = json.loads(path.read_text())
+        summary["pretrain"]["outcome"] |= {"coverage_50": 0.5 * inside, "coverage_90": inside}
+        path.write_text(json.dumps(summary))
+    page = build([run], tmp_path / "report.html")
+    assert ["odaf", "deterministic", "0.0002", "0.0055", "0.0364", "40 %", "80 %", "9,950"] in page.rows
+
+
 def test_settings_that_differ_come_first_and_all_are_there(comparison):
     runs, page = comparison
     assert ["algorithm.kind", "behaviour-cloning", "ensemble-sac"] in page.rows

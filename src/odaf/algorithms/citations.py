@@ -189,6 +189,31 @@ BRAC = Citation(
     "",
     "1911.11361",
 )
+MOPO = Citation(
+    "yu2020mopo",
+    (
+        "Tianhe Yu",
+        "Garrett Thomas",
+        "Lantao Yu",
+        "Stefano Ermon",
+        "James Zou",
+        "Sergey Levine",
+        "Chelsea Finn",
+        "Tengyu Ma",
+    ),
+    "MOPO: Model-based Offline Policy Optimization",
+    2020,
+    _NEURIPS,
+    "2005.13239",
+)
+COMBO = Citation(
+    "yu2021combo",
+    ("Tianhe Yu", "Aviral Kumar", "Rafael Rafailov", "Aravind Rajeswaran", "Sergey Levine", "Chelsea Finn"),
+    "COMBO: Conservative Offline Model-Based Policy Optimization",
+    2021,
+    _NEURIPS,
+    "2102.08363",
+)
 ATAC = Citation(
     "cheng2022atac",
     ("Ching-An Cheng", "Tengyang Xie", "Nan Jiang", "Alekh Agarwal"),

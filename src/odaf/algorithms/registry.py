@@ -19,16 +19,19 @@ from odaf.algorithms.bcq import BCQ
 from odaf.algorithms.bear import BEAR
 from odaf.algorithms.behaviour_cloning import BehaviourCloning
 from odaf.algorithms.brac import BRAC
+from odaf.algorithms.combo import COMBO
 from odaf.algorithms.cql import CQL
 from odaf.algorithms.ensemble_sac import EnsembleSAC
 from odaf.algorithms.iql import IQL
 from odaf.algorithms.mbrcsl import MBRCSL
+from odaf.algorithms.mopo import MOPO
 from odaf.algorithms.rebrac import ReBRAC
 from odaf.algorithms.scas import SCAS
 from odaf.algorithms.spot import SPOT
 from odaf.algorithms.svr import SVR
 from odaf.algorithms.td3_bc import TD3BC
 from odaf.algorithms.terms import BUILT_IN, Term
+from odaf.components.dynamics import terminations
 from odaf.errors import ConfigError
 
 Kind = TypeVar("Kind", bound=type)
@@ -95,27 +98,36 @@ ALGORITHMS: Registry[type[Algorithm]] = Registry(
     Algorithm,
     lambda entry: getattr(entry, "kind", None),
     "odaf.algorithms",
-    (EnsembleSAC, BehaviourCloning, TD3BC, IQL, ReBRAC, SPOT, SVR, SCAS, BCQ, BEAR, BRAC, CQL, ATAC, MBRCSL),
+    (EnsembleSAC, BehaviourCloning, TD3BC, IQL, ReBRAC, SPOT, SVR, SCAS, BCQ, BEAR, BRAC, CQL, ATAC, MBRCSL, MOPO, COMBO),
 )
 TERMS: Registry[type[Term]] = Registry(Term, lambda entry: getattr(entry, "name", None), "odaf.terms", BUILT_IN)
 
 
 def register(entry: Any) -> Any:
-    """Makes a learner or a term of your own known to this process; also usable as a decorator of the class.
+    """Makes a learner, a term or a termination of your own known to this process; also usable as a decorator.
+
+    Learners and terms are classes. A termination is a function that says where rollouts of a model end, see
+    `odaf.components.dynamics.terminations`; the setting `termination` knows it by the function's name.
 
     Raises:
-        ConfigError: it is neither, or its name belongs to another class.
+        ConfigError: it is none of them, or its name belongs to another one.
     """
+    if callable(entry) and not isinstance(entry, type):
+        return terminations.add(entry)
     return (TERMS if isinstance(entry, type) and issubclass(entry, Term) else ALGORITHMS).add(entry)
 
 
-def register_parts(algorithm: Algorithm) -> tuple[type, ...]:
+def register_parts(algorithm: Algorithm) -> tuple[Any, ...]:
     """Registers a learner's class and those of its terms; returns those that are not built in, for other processes.
+
+    The function that says where its rollouts end is among them.
 
     Raises:
         ConfigError: `algorithm` is not a learner, or the name of one of the classes belongs to another one.
     """
     if not isinstance(algorithm, Algorithm):
         raise ConfigError(f"algorithm: {algorithm!r} is not a learner; give one such as odaf.ODAF()")
-    classes = (type(algorithm), *(type(term) for term in getattr(algorithm, "terms", ())))
-    return tuple(register(entry) for entry in classes if not entry.__module__.startswith("odaf."))
+    parts: list[Any] = [type(algorithm), *(type(term) for term in getattr(algorithm, "terms", ()))]
+    if hasattr(algorithm, "termination"):
+        parts.append(terminations.termination(getattr(algorithm, "termination")))  # noqa: B009
+    return tuple(register(entry) for entry in parts if not entry.__module__.startswith("odaf."))

@@ -18,6 +18,8 @@ from odaf.report.scores import Score, episode_returns
 from odaf.report.svg import THEMED
 from odaf.training.monitors import value_bounds
 
+COVERAGES = (50, 90)  # intervals in percent, as dynamics models report them
+
 
 def references(runs: Sequence[RunRecord]) -> list[tuple[str, float]]:
     """Best and mean of the logged returns, once for every dataset that has a score to compare with."""
@@ -182,6 +184,8 @@ class DynamicsCheck:
         names: dimensions with an error of their own, empty where not told.
         by_dimension: [dimensions] model's error.
         no_change_by_dimension: [dimensions].
+        coverages: share of hold-out targets inside the predicted intervals, by what it should be; empty where the model
+            predicts none.
         chart: picture of the two, `None` without dimensions.
     """
 
@@ -193,6 +197,7 @@ class DynamicsCheck:
     names: tuple[str, ...]
     by_dimension: tuple[float, ...]
     no_change_by_dimension: tuple[float, ...]
+    coverages: dict[int, float]
     chart: Chart | None
 
 
@@ -230,6 +235,7 @@ def dynamics_checks(runs: Sequence[RunRecord], labels: Sequence[str]) -> list[Dy
                 names=tuple(names),
                 by_dimension=tuple(model.tolist()),
                 no_change_by_dimension=tuple(nothing.tolist()),
+                coverages=_coverages(reports),
                 chart=chart,
             )
         )
@@ -243,6 +249,16 @@ def _holdout_report(report: Any) -> Mapping[str, Any] | None:
     if optional(report.get("holdout_mse")) is not None and optional(report.get("no_change_mse")) is not None:
         return report
     return next((found for value in report.values() if (found := _holdout_report(value)) is not None), None)
+
+
+def _coverages(reports: Sequence[Mapping[str, Any]]) -> dict[int, float]:
+    """Means over seeds, of the intervals that each of them tells."""
+    found: dict[int, float] = {}
+    for level in COVERAGES:
+        shares = [share for report in reports if (share := optional(report.get(f"coverage_{level}"))) is not None]
+        if len(shares) == len(reports):
+            found[level] = float(np.mean(shares))
+    return found
 
 
 def _per_dimension(reports: Sequence[Mapping[str, Any]], name: str) -> np.ndarray:
