@@ -49,9 +49,9 @@ def rollout(
         doubts: what measures the uncertainty of each step, by all members; None evaluates one member a row.
     """
 
-    def step(carry: tuple[Array, Array], key: PRNGKeyArray) -> tuple[tuple[Array, Array], Rolled]:
+    def step(carry: tuple[Array, Array], number: Int[Array, ""]) -> tuple[tuple[Array, Array], Rolled]:
         states, runs = carry
-        key_act, key_next = jr.split(key)
+        key_act, key_next = jr.split(jr.fold_in(key, number))
         actions = behave(states, key_act)
         if doubts is None:
             following, rewards = model.draw(states, actions, key_next)
@@ -63,7 +63,7 @@ def rollout(
         rows = Transitions(states, actions, rewards, following, ends.astype(rewards.dtype))
         return (following, kept & ~ends), Rolled(rows, kept, doubt)
 
-    _, rolled = jax.lax.scan(step, (starts, jnp.ones(starts.shape[0], bool)), jr.split(key, steps))
+    _, rolled = jax.lax.scan(step, (starts, jnp.ones(starts.shape[0], bool)), jnp.arange(steps))
     return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), rolled)
 
 

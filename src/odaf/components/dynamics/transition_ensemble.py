@@ -22,6 +22,7 @@ import jax.numpy as jnp
 import jax.random as jr
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from odaf.components.critics import over_members
 from odaf.components.dynamics.gaussian_ensemble import BOUND_WEIGHT, LOG_VARIANCE_MAX, LOG_VARIANCE_MIN
 from odaf.components.networks import MLP, init_mlp
 
@@ -93,7 +94,8 @@ class TransitionEnsemble(eqx.Module):
         dealt = jnp.minimum(order, rows - 1).reshape(elites, hand)
         place = jnp.zeros_like(order).at[order].set(jnp.arange(hand * elites))[:rows]
         best: MLP = jax.tree.map(lambda leaf: leaf[:elites], self.network)
-        outputs = best(self._inputs(observations, actions)[dealt]).reshape(hand * elites, -1)[place]
+        handed = self._inputs(observations, actions)[dealt]
+        outputs = over_members(lambda pair: pair[0](pair[1]), (best, handed)).reshape(hand * elites, -1)[place]
         mean, log_variance = jnp.split(outputs, 2, axis=-1)
         return self._drawn(observations, mean, self._held(log_variance), key_normal)
 
@@ -106,7 +108,9 @@ class TransitionEnsemble(eqx.Module):
     ) -> tuple[Float[Array, "rows obs_dim"], Float[Array, " rows"], Float[Array, " rows"]]:
         """(s', r) of every row from an elite of its own, drawn anew at each call, and all members' u(s, a)."""
         key_member, key_normal = jr.split(key)
-        mean, log_variance = self.moments(observations, actions)
+        inputs = self._inputs(observations, actions)
+        mean, log_variance = jnp.split(over_members(lambda member: member(inputs), self.network), 2, axis=-1)
+        log_variance = self._held(log_variance)
         doubt = uncertainty(mean, log_variance, kind)
         chosen = jr.randint(key_member, (1, observations.shape[0], 1), 0, self.elites)
         mean, log_variance = (jnp.take_along_axis(part, chosen, axis=0)[0] for part in (mean, log_variance))
