@@ -176,34 +176,32 @@ def _round(returns: list[float]) -> Rollouts:
 def test_rollouts_are_kept_whole_as_they_come_where_they_earn_more_than_the_bar():
     seen = []
     rounds = iter([_round([5.0, 1.0, 4.0]), _round([9.0, 4.5, 8.0]), _round([7.0])])
-    kept = keep(rounds, 4.0, None, 3, lambda *done: seen.append(done))
+    kept = keep(rounds, 4.0, 3, lambda *done: seen.append(done))
     np.testing.assert_array_equal(kept.rollouts.returns(), [5.0, 9.0, 4.5])  # 4 is not above 4; 8 came too late
     np.testing.assert_array_equal(kept.rollouts.observations[:, 1, 0], [5.0, 9.0, 4.5])
-    assert (kept.passes, kept.passed, kept.rounds, len(kept.returns), seen) == (3, 4, 2, 6, [(1, 3), (3, 3)])
+    assert (kept.passes, kept.rounds, len(kept.returns), seen) == (3, 2, 6, [(1, 3), (3, 3)])
     assert len(list(rounds)) == 1, "the third was not asked for"
 
 
 def test_the_best_others_fill_what_is_missing_and_what_is_not_finite_comes_last():
-    kept = keep([_round([1.0, np.inf, 5.0]), _round([3.0, np.nan, 2.0])], 4.0, None, 4, lambda *_: None)
+    kept = keep([_round([1.0, np.inf, 5.0]), _round([3.0, np.nan, 2.0])], 4.0, 4, lambda *_: None)
     np.testing.assert_array_equal(kept.rollouts.returns(), [5.0, 3.0, 2.0, 1.0])
     assert kept.passes == 1
-    kept = keep([_round([1.0, np.inf])], 4.0, None, 2, lambda *_: None)
+    kept = keep([_round([1.0, np.inf])], 4.0, 2, lambda *_: None)
     assert kept.rollouts.returns()[1] == -np.inf
     with pytest.raises(DivergenceError, match="rollouts: 1 of the 2 best imagined episodes are not finite"):
-        report_of(kept, 4.0, Range.of(np.ones((2, 1))), tiny.SPEC)
+        report_of(kept, 4.0, Range.endless(1), tiny.SPEC)
 
 
-def test_rollouts_that_leave_what_the_log_has_shown_do_not_pass_and_come_last():
-    known = Range.of(np.array([[0.0], [7.0]]))  # to 7.35 with its margin
-    kept = keep([_round([9.0, 7.25, 2.0, 5.0, 8.0, 3.0])], 4.0, known, 5, lambda *_: None)
-    np.testing.assert_array_equal(kept.rollouts.returns(), [7.25, 5.0, 3.0, 2.0, 9.0])
-    assert (kept.passes, kept.passed) == (2, 2)
+def test_episodes_that_leave_what_the_log_has_shown_are_counted():
+    known = Range.of(np.array([[0.0], [7.0]]), np.zeros(2))  # to 7.35 with its margin
+    kept = keep([_round([9.0, 7.25, 2.0, 5.0, 8.0, 3.0])], 4.0, 5, lambda *_: None)
     report = report_of(kept, 4.0, known, dataclasses.replace(tiny.SPEC, reward_max=99.0, ever_terminates=False))
-    assert report["kept_outside"] == 1
+    assert (report["passed"], report["kept_passed"], report["kept_outside"]) == (4, 4, 2)
     assert [warning.split(";")[0] for warning in report["warnings"]] == [
-        "rollouts: 2 of 6 imagined episodes pass, which is to earn more than the best logged one (4), so 3 of the "
+        "rollouts: 4 of 6 imagined episodes pass, which is to earn more than the best logged one (4), so 1 of the "
         "others are learned from, too",
-        "rollouts: 1 of the 5 episodes that are learned from leave the range of the logged states, where nobody knows "
+        "rollouts: 2 of the 5 episodes that are learned from leave the range of the logged states, where nobody knows "
         "what follows",
     ]
 
@@ -219,7 +217,7 @@ def test_a_rollout_is_played_by_the_behaviour_in_the_dynamics():
     )
     behaviour = tiny.filled(init_action_diffusion(jr.key(0), 3, 2, (5,), 3), 2, 0.05)
     starts = jnp.asarray(np.random.default_rng(0).normal(size=(7, 3)), jnp.float32)
-    states, actions, rewards = roll_out(model, behaviour, starts, jr.key(3), STEPS)
+    states, actions, rewards = roll_out(model, behaviour, Range.endless(3), starts, jr.key(3), STEPS)
     assert states.shape == (STEPS, 7, 3) and actions.shape == (STEPS, 7, 2) and rewards.shape == (STEPS, 7)
     np.testing.assert_array_equal(states[0], starts)
     assert float(jnp.abs(actions).max()) <= 1.0
@@ -230,6 +228,12 @@ def test_a_rollout_is_played_by_the_behaviour_in_the_dynamics():
         np.testing.assert_allclose(rewards[step], earned, atol=1e-4)
         if step + 1 < STEPS:
             np.testing.assert_allclose(states[step + 1], after, atol=1e-4)
+    low, high = np.full(3, -0.5, np.float32), np.asarray(np.median(np.asarray(states[1]), axis=0))
+    middle = float(jnp.median(rewards[0]))
+    cut, _, earned = roll_out(model, behaviour, Range(low, high, -np.inf, middle), starts, jr.key(3), STEPS)
+    np.testing.assert_allclose(cut[1], np.clip(states[1], low, high), atol=1e-5)
+    np.testing.assert_allclose(earned[0], np.minimum(rewards[0], middle), atol=1e-5)
+    assert np.any(cut[1] != states[1]) and np.any(earned[0] != rewards[0])
 
 
 # ---- stages 1 to 3, with models that are not trained --------------------------------------------------------------
@@ -248,7 +252,7 @@ def _log() -> Dataset:
 
 def _pretrained(monkeypatch, earned: float, learner: MBRCSL = LEARNER):
     """Models, report, and the starts of every round, where one episode in three earns the given return."""
-    starts = []
+    starts, seen = [], []
     models = {
         "fit_transitions": EnsembleConfig(hidden_sizes=(4,), members=1, elites=1).untrained(jr.key(0), 3, 2),
         "fit_action_diffusion": init_action_diffusion(jr.key(0), 3, 2, (4,), 2),
@@ -256,7 +260,8 @@ def _pretrained(monkeypatch, earned: float, learner: MBRCSL = LEARNER):
     for name, model in models.items():
         monkeypatch.setattr(mbrcsl, name, lambda *_, model=model, name=name: (model, {"warnings": [name]}))
 
-    def played(dynamics, behaviour, first, key, steps):
+    def played(dynamics, behaviour, bounds, first, key, steps):
+        seen.append(bounds)
         starts.append(np.asarray(first))
         states = np.repeat(np.asarray(first)[None], steps, axis=0)
         rewards = np.zeros((steps, len(first)), np.float32)
@@ -267,7 +272,10 @@ def _pretrained(monkeypatch, earned: float, learner: MBRCSL = LEARNER):
     dataset = _log()
     normaliser = Normaliser.fit(dataset.observations)
     models, report = learner.pretrain(dataset, normaliser, jr.key(0), lambda *_: None)
-    return models, report, np.concatenate(starts), normaliser.normalise(dataset.observations[::4])
+    states = normaliser.normalise(dataset.observations)
+    known = Range.of(states, dataset.rewards) if learner.within_log else Range.endless(tiny.OBS_DIM)
+    tiny.assert_same_bits(seen[0], known)
+    return models, report, np.concatenate(starts), states[::4]
 
 
 def test_rollouts_begin_where_logged_episodes_began_and_pass_the_best_of_them(monkeypatch):
@@ -294,7 +302,7 @@ def test_rollouts_begin_where_logged_episodes_began_and_pass_the_best_of_them(mo
     ],
 )
 def test_what_is_short_or_dreamt_is_said(monkeypatch, earned, said):
-    models, report, _, _ = _pretrained(monkeypatch, earned)
+    models, report, _, _ = _pretrained(monkeypatch, earned, dataclasses.replace(LEARNER, within_log=False))
     assert np.count_nonzero(np.asarray(models.returns_to_go)[:, 0] == earned) == 6, "the six best of 18"
     assert any(said in warning for warning in report["warnings"]), report["warnings"]
 
@@ -305,6 +313,7 @@ def test_what_is_short_or_dreamt_is_said(monkeypatch, earned, said):
 def test_presets_are_as_published_or_say_what_is_ours():
     ours, maze = presets.load("mbrcsl"), presets.load("mbrcsl-pointmaze")
     assert ours == MBRCSL()
+    assert (ours.weight_decay, maze.weight_decay) == (1e-3, 0.1)
     assert (maze.rollout_steps, maze.max_rounds, maze.normalise_returns, maze.within_log) == (200, 1000, False, False)
     assert maze.behaviour == dataclasses.replace(DiffusionConfig(), hidden_sizes=(512, 512, 512))
     assert MBRCSL().sizes(tiny.SPEC) == (20,) and maze.sizes(tiny.SPEC) == (200,)

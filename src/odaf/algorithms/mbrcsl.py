@@ -17,9 +17,9 @@ that had the lowest, and after `earliest_stop` updates it is settled once so man
 Differs from the paper and its code: observations are normalised. The denoising network is a plain one, which sees s and
 the step beside the noised action, in place of a U-Net; its step size falls at each of its updates, where the code's
 schedule moves once an epoch and so never leaves its warm-up. Exactly `num_rollouts` episodes are kept; after
-`max_rounds` the best others fill what is missing, where the code goes on. With `within_log` an episode that leaves the
-range of the logged states is not kept; the code has no such bar. Episodes are held out whole, and the lowest error
-counts from the start. Rollouts last as long as the longest logged episode and do not end before.
+`max_rounds` the best others fill what is missing, where the code goes on. With `within_log` imagined states and rewards
+are cut to the range that the log shows; the code lets them go anywhere. Episodes are held out whole, and the lowest
+error counts from the start. Rollouts last as long as the longest logged episode and do not end before.
 """
 
 import dataclasses
@@ -104,8 +104,8 @@ class MBRCSL(Algorithm[MBRCSLState]):
     max_rounds: int = 100
     """Rounds after which the best episodes are taken although too few earn more than the best logged one."""
     within_log: bool = True
-    """Whether an imagined episode must not leave the range of the logged states, wider by a twentieth on each side, to
-    be kept; False takes what the dynamics dream."""
+    """Whether imagined states and rewards are cut to the range that the log shows, so that nobody passes its walls;
+    False takes what the dynamics dream."""
     rollout_steps: int | None = None
     """Length of an imagined episode; None takes that of the longest logged one."""
     hidden_sizes: tuple[int, ...] = (1024, 1024)
@@ -114,7 +114,7 @@ class MBRCSL(Algorithm[MBRCSLState]):
     """Whether the policy sees the return that is left in the spread of the imagined ones; False as it is."""
     learning_rate: float = 5e-5
     """Step size of Adam for the policy."""
-    weight_decay: float = 0.1
+    weight_decay: float = 1e-3
     """w: of the parameters in the policy's gradient (L2 regularisation)."""
     batch_size: int = 256
     """Imagined steps a gradient step."""
@@ -197,13 +197,19 @@ class MBRCSL(Algorithm[MBRCSLState]):
         seconds.append(time.perf_counter())
         starts = normaliser.normalise(dataset.observations[dataset.episode_starts])
         bar = float(dataset.episode_returns().max())
+        known = Range.of(normaliser.normalise(dataset.observations), dataset.rewards)
+        bounds = known if self.within_log else Range.endless(dataset.obs_dim)
         rounds = rounds_of(
-            dynamics, behaviour, starts, key_rollouts, self.max_rounds, self.round_size, *self.sizes(dataset.spec())
+            dynamics,
+            behaviour,
+            bounds,
+            starts,
+            key_rollouts,
+            self.max_rounds,
+            self.round_size,
+            *self.sizes(dataset.spec()),
         )
-        known = Range.of(normaliser.normalise(dataset.observations))
-        kept = keep(
-            rounds, bar, known if self.within_log else None, self.num_rollouts, functools.partial(progress, "rollouts")
-        )
+        kept = keep(rounds, bar, self.num_rollouts, functools.partial(progress, "rollouts"))
         order = np.asarray(jr.permutation(key_order, self.num_rollouts))  # so that any of them may be held out
         chosen = kept.rollouts.taken(order)
         imagined = Imagined(*map(jnp.asarray, (*chosen[:2], returns_to_go(chosen.rewards))))

@@ -43,8 +43,9 @@ class Rollouts(NamedTuple):
             return np.where(sound, self.rewards.astype(np.float64).sum(axis=1), -np.inf)
 
     def inside(self, known: "Range") -> Bool[np.ndarray, " rollouts"]:
-        """Whether no state of an episode lies outside of a range."""
-        within = (self.observations >= known.low) & (self.observations <= known.high)
+        """Whether no state of an episode lies outside of a range that is a twentieth wider on each side."""
+        margin = MARGIN * (known.high - known.low)
+        within = (self.observations >= known.low - margin) & (self.observations <= known.high + margin)
         return np.asarray(within.all(axis=(1, 2)))
 
     def taken(self, places: np.ndarray) -> "Rollouts":
@@ -53,16 +54,22 @@ class Rollouts(NamedTuple):
 
 
 class Range(NamedTuple):
-    """Of states, by dimension."""
+    """What states, by dimension, and rewards lie between."""
 
     low: Float[np.ndarray, " obs_dim"]
     high: Float[np.ndarray, " obs_dim"]
+    reward_low: float
+    reward_high: float
 
     @classmethod
-    def of(cls, observations: Float[np.ndarray, "rows obs_dim"]) -> "Range":
-        """What these states show, wider by a twentieth on each side."""
-        low, high = observations.min(axis=0), observations.max(axis=0)
-        return cls(low - MARGIN * (high - low), high + MARGIN * (high - low))
+    def of(cls, observations: Float[np.ndarray, "rows obs_dim"], rewards: Float[np.ndarray, " rows"]) -> "Range":
+        """What these rows show."""
+        return cls(observations.min(axis=0), observations.max(axis=0), float(rewards.min()), float(rewards.max()))
+
+    @classmethod
+    def endless(cls, obs_dim: int) -> "Range":
+        """All numbers."""
+        return cls(np.full(obs_dim, -np.inf, np.float32), np.full(obs_dim, np.inf, np.float32), -np.inf, np.inf)
 
 
 class Kept(NamedTuple):
@@ -72,14 +79,12 @@ class Kept(NamedTuple):
         rollouts: those that pass first, in the order in which they came, then the others, the best first.
         passes: how many of these pass.
         returns: of all that were played, in the order in which they came.
-        passed: how many of all pass.
         rounds: in which they were played.
     """
 
     rollouts: Rollouts
     passes: int
     returns: Float[np.ndarray, " played"]
-    passed: int
     rounds: int
 
 
@@ -87,11 +92,16 @@ class Kept(NamedTuple):
 def roll_out(
     dynamics: TransitionEnsemble,
     behaviour: ActionDiffusion,
+    bounds: Range,
     starts: Float[Array, "rows obs_dim"],
     key: PRNGKeyArray,
     steps: int,
 ) -> tuple[Float[Array, "steps rows obs_dim"], Float[Array, "steps rows act_dim"], Float[Array, "steps rows"]]:
-    """States, actions and rewards of an episode from each start, played by the behaviour model in the dynamics."""
+    """States, actions and rewards of an episode from each start, played by the behaviour model in the dynamics.
+
+    States and rewards that the dynamics draw are cut to the bounds.
+    """
+    low, high = (jnp.asarray(end)[None] for end in bounds[:2])
     act_dim = behaviour.network.weights[-1].shape[-1]
     shape = behaviour.steps, starts.shape[0], act_dim
 
@@ -99,7 +109,8 @@ def roll_out(
         key_action, key_draw = jr.split(key)
         actions = behaviour.sample(states, jr.normal(key_action, shape))
         after, rewards = dynamics.draw(states, actions, key_draw)
-        return after, (states, actions, rewards)
+        rewards = jnp.clip(rewards, bounds.reward_low, bounds.reward_high)
+        return jnp.clip(after, low, high), (states, actions, rewards)
 
     _, played = jax.lax.scan(step, starts, jr.split(key, steps))
     return played
@@ -108,6 +119,7 @@ def roll_out(
 def rounds_of(
     dynamics: TransitionEnsemble,
     behaviour: ActionDiffusion,
+    bounds: Range,
     starts: Float[np.ndarray, "episodes obs_dim"],
     key: PRNGKeyArray,
     rounds: int,
@@ -118,41 +130,32 @@ def rounds_of(
     for number in range(rounds):
         key_start, key_play = jr.split(jr.fold_in(key, number))
         first = starts[np.asarray(jr.randint(key_start, (rows,), 0, len(starts)))]
-        played = roll_out(dynamics, behaviour, jnp.asarray(first, jnp.float32), key_play, steps)
+        played = roll_out(dynamics, behaviour, bounds, jnp.asarray(first, jnp.float32), key_play, steps)
         yield Rollouts(*(np.swapaxes(np.asarray(part), 0, 1) for part in played))
 
 
-def keep(
-    rounds: Iterable[Rollouts], bar: float, known: Range | None, wanted: int, progress: Callable[[int, int], None]
-) -> Kept:
-    """The first `wanted` rollouts that pass; where there are fewer, the best others beside them.
+def keep(rounds: Iterable[Rollouts], bar: float, wanted: int, progress: Callable[[int, int], None]) -> Kept:
+    """The first `wanted` rollouts whose return is above the bar; where there are fewer, the best others beside them.
 
     Args:
         rounds: one or more, of which as many are taken as it needs; `wanted` rollouts in all at least.
         bar: what the sum of a rollout's rewards has to exceed to pass.
-        known: what its states must not leave to pass; others that leave it come last. None lets them go anywhere.
         wanted: how many to keep.
         progress: called with (rollouts that pass, wanted) after every round.
     """
-    pool, returns, passed, passes = None, [], 0, 0
+    pool, played, passes = None, [], 0
     for found in rounds:
-        returns.append(found.returns())
-        passed += int((~_failing(found, bar, known)[0]).sum())
+        played.append(found.returns())
         pool = found if pool is None else Rollouts(*map(np.concatenate, zip(pool, found, strict=True)))
-        fails, leaves = _failing(pool, bar, known)
-        order = np.lexsort((np.where(fails, -pool.returns(), 0.0), leaves, fails))[:wanted]
+        returns = pool.returns()
+        fails = returns <= bar
+        order = np.lexsort((np.where(fails, -returns, 0.0), fails))[:wanted]
         pool, passes = pool.taken(order), int((~fails[order]).sum())
         progress(passes, wanted)
         if passes == wanted:
             break
     assert pool is not None, "one round at least"
-    return Kept(pool, passes, np.concatenate(returns), passed, len(returns))
-
-
-def _failing(rollouts: Rollouts, bar: float, known: Range | None) -> tuple[np.ndarray, np.ndarray]:
-    """Which do not pass, and which leave what is known."""
-    leaves = np.zeros(len(rollouts.rewards), bool) if known is None else ~rollouts.inside(known)
-    return leaves | (rollouts.returns() <= bar), leaves
+    return Kept(pool, passes, np.concatenate(played), len(played))
 
 
 def returns_to_go(rewards: Float[np.ndarray, "rollouts steps"]) -> Float[np.ndarray, "rollouts steps"]:
@@ -181,13 +184,13 @@ def report_of(kept: Kept, bar: float, known: Range, spec: Spec) -> dict[str, Any
             f"rollouts: {int(np.isinf(returns).sum())} of the {wanted} best imagined episodes are not finite; "
             "train the dynamics on a log without outliers (`odaf data info`), or shorten rollout_steps"
         )
-    possible = steps * spec.reward_max
+    passed, possible = int((kept.returns > bar).sum()), steps * spec.reward_max
     finite = kept.returns[np.isfinite(kept.returns)]
     report: dict[str, Any] = {
         "rounds": kept.rounds,
         "steps": steps,
         "played": len(kept.returns),
-        "passed": kept.passed,
+        "passed": passed,
         "kept": wanted,
         "kept_passed": kept.passes,
         "kept_outside": int((~kept.rollouts.inside(known)).sum()),
@@ -200,15 +203,15 @@ def report_of(kept: Kept, bar: float, known: Range, spec: Spec) -> dict[str, Any
     }
     if kept.passes < wanted:
         report["warnings"].append(
-            f"rollouts: {kept.passed} of {len(kept.returns):,} imagined episodes pass, which is to earn more than the "
+            f"rollouts: {passed} of {len(kept.returns):,} imagined episodes pass, which is to earn more than the "
             f"best logged one ({bar:.4g}), so {wanted - kept.passes} of the others are learned from, too; train the "
             "models longer (behaviour.steps, dynamics.epochs) or raise max_rounds"
         )
     if report["kept_outside"] > MOST_OUTSIDE * wanted:
         report["warnings"].append(
             f"rollouts: {report['kept_outside']} of the {wanted} episodes that are learned from leave the range of the "
-            "logged states, where nobody knows what follows; train the dynamics longer (dynamics.epochs), or keep none "
-            "of these (within_log=True)"
+            "logged states, where nobody knows what follows; train the dynamics longer (dynamics.epochs), or keep them "
+            "in there (within_log=True)"
         )
     if returns.max() > possible:
         report["warnings"].append(
