@@ -113,7 +113,8 @@ def test_the_table_of_fifteen_logs_has_the_papers_scores_beside_ours() -> None:
         record for task in mujoco.SETS for rival in mujoco.RIVALS for record in trained(task, rival, [50.0, 50.5])
     ]
     assert mujoco.verdict(whole).verdict == "held"
-    assert "- odaf-paper over svr: 1.00 [1.00, 1.00], 15 logs" in mujoco.table(whole[:60])
+    two = [record for record in whole if record["method"] in ("odaf-paper", "svr")]
+    assert "- odaf-paper over svr: 1.00 [1.00, 1.00], 15 logs" in mujoco.table(two)
     assert mujoco.verdict([*whole, *trained("hopper-medium", "svr", [250.0, 260.0])]).verdict == "not decided"
 
 
@@ -222,7 +223,8 @@ def test_validation_asks_for_both_areas_the_gap_and_a_blind_control() -> None:
 
 
 def test_the_claims_are_those_that_the_ledgers_bear_out() -> None:
-    found = claims.decided(RESULTS)
+    answers = claims.decided(RESULTS)
+    found = {name: answer.verdict for name, answer in answers.items()}
     written = json.loads((RESULTS / "claims.json").read_text(encoding="utf-8"))
     assert {"mujoco", "mixtures", "stitching", "attacks", "validation"} < set(found)
     assert {"ablation", "knocks", "theory", "antmaze", "cost"} < set(found) and len(found) == 10

@@ -31,5 +31,6 @@ def run(arguments: list[str]) -> None:
 
     found = decided(options.results)
     write(found, options.results / "claims.json", options.page)
-    print(table(["claim", "verdict", "seeds"], [[name, each.verdict, str(each.seeds)] for name, each in found.items()]))
+    rows = [[name, each.verdict.verdict, str(each.verdict.seeds)] for name, each in found.items()]
+    print(table(["claim", "verdict", "seeds"], rows))
     print(f"\nThe tests, intervals and reasons are in {options.results / 'claims.json'} and {options.page}")

@@ -84,22 +84,41 @@ CLAIMS: Mapping[str, Question] = {
 """By the name in `claims.json`."""
 
 
-def decided(results: Path) -> dict[str, Verdict]:
-    """The verdict on each claim from the ledgers in a folder; not decided where records are missing.
+@dataclass(frozen=True)
+class Answer:
+    """What records say of a claim.
+
+    Attributes:
+        verdict: on the form of the method that the paper prints.
+        ours: the same question of this package's form; None where it is not asked.
+    """
+
+    verdict: Verdict
+    ours: Verdict | None
+
+
+def decided(results: Path) -> dict[str, Answer]:
+    """The answer to each claim from the ledgers in a folder; not decided where records are missing.
 
     Raises:
         ConfigError: a record cannot be read.
     """
-    return {name: _verdict(question, results) for name, question in CLAIMS.items()}
-
-
-def ours(question: Question, results: Path) -> Verdict | None:
-    """The same question of this package's form of the method; None where it is not asked."""
-    if question.study not in STUDIES:
-        return None
-    study = STUDIES[question.study]
-    decide_by = question.ours or (None if study.claim is None else study.claim.ours)
-    return None if decide_by is None else decide_by(Ledger(study, results / study.name).held())
+    records: dict[str, list[Record]] = {}
+    found = {}
+    for name, question in CLAIMS.items():
+        if question.study not in STUDIES:
+            found[name] = Answer(_undecided("no test", NO_STUDY), None)
+            continue
+        study = STUDIES[question.study]
+        if study.name not in records:
+            records[study.name] = Ledger(study, results / study.name).held()
+        claim = study.claim
+        decide_by = question.verdict or (None if claim is None else claim.verdict)
+        ours = question.ours or (None if claim is None else claim.ours)
+        assert decide_by is not None
+        held = records[study.name]
+        found[name] = Answer(decide_by(held), None if ours is None else ours(held))
+    return found
 
 
 def command(question: Question) -> str:
@@ -107,20 +126,20 @@ def command(question: Question) -> str:
     return NO_STUDY if question.study not in STUDIES else f"odaf reproduce {question.study}"
 
 
-def write(found: Mapping[str, Verdict], out: Path, page: Path) -> None:
+def write(found: Mapping[str, Answer], out: Path, page: Path) -> None:
     """Writes the verdicts as JSON, and as a Markdown page beside whose folder the figures lie."""
     content = {}
-    for name, verdict in found.items():
-        entry = verdict.to_dict()
+    for name, answer in found.items():
+        entry = answer.verdict.to_dict()
         content[name] = {**entry, "claim": CLAIMS[name].statement, "command": command(CLAIMS[name])}
-        if (own := ours(CLAIMS[name], out.parent)) is not None:
-            content[name]["ours"] = own.to_dict()
+        if answer.ours is not None:
+            content[name]["ours"] = answer.ours.to_dict()
     for path, text in ((out, json.dumps(content, indent=1) + "\n"), (page, markdown(found, out.parent, page.parent))):
         path.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(path, lambda file, text=text: file.write(text.encode("utf-8")))
 
 
-def markdown(found: Mapping[str, Verdict], results: Path, folder: Path) -> str:
+def markdown(found: Mapping[str, Answer], results: Path, folder: Path) -> str:
     """The page: a table of all claims, then each with its test, its reasons, its figure and its command."""
     lines = [
         "# The paper's claims",
@@ -132,20 +151,21 @@ def markdown(found: Mapping[str, Verdict], results: Path, folder: Path) -> str:
         "| claim | | verdict | seeds | command |",
         "|---|---|---|---|---|",
     ]
-    for name, verdict in found.items():
-        question = CLAIMS[name]
+    for name, answer in found.items():
+        question, verdict = CLAIMS[name], answer.verdict
         told = command(question)
         shown = told if told == NO_STUDY else f"`{told}`"
         lines.append(f"| [{name}](#{name}) | {question.statement} | {verdict.verdict} | {verdict.seeds} | {shown} |")
-    for name, verdict in found.items():
-        lines += ["", f"## {name}", "", *_section(CLAIMS[name], verdict, results, folder)]
+    for name, answer in found.items():
+        lines += ["", f"## {name}", "", *_section(CLAIMS[name], answer, results, folder)]
     return "\n".join(lines) + "\n"
 
 
 MOST_REASONS = 8
 
 
-def _section(question: Question, verdict: Verdict, results: Path, folder: Path) -> list[str]:
+def _section(question: Question, answer: Answer, results: Path, folder: Path) -> list[str]:
+    verdict = answer.verdict
     capital = question.statement[0].upper() + question.statement[1:]
     lines = [f"{capital}: **{verdict.verdict}**.", "", f"Test: {verdict.test}."]
     if verdict.interval is not None:
@@ -154,8 +174,8 @@ def _section(question: Question, verdict: Verdict, results: Path, folder: Path) 
     if verdict.verdict == "not decided":
         enough = "what is missing says nothing of how many" if verdict.enough is None else f"about {verdict.enough:,}"
         lines.append(f"Seeds that would decide: {enough}.")
-    if (own := ours(question, results)) is not None:
-        lines += ["", f"The same of this package's own form: {own}."]
+    if answer.ours is not None:
+        lines += ["", f"The same of this package's own form: {answer.ours}."]
     if verdict.reasons:
         more = len(verdict.reasons) - MOST_REASONS
         lines += ["", *(f"- {reason}" for reason in verdict.reasons[:MOST_REASONS])]
@@ -164,16 +184,6 @@ def _section(question: Question, verdict: Verdict, results: Path, folder: Path) 
     if figure is not None and figure.exists():
         lines += ["", f"![{question.study}]({Path(os.path.relpath(figure, folder)).as_posix()})"]
     return lines
-
-
-def _verdict(question: Question, results: Path) -> Verdict:
-    if question.study is None or question.study not in STUDIES:
-        return _undecided("no test", NO_STUDY)
-    study = STUDIES[question.study]
-    records = Ledger(study, results / study.name).held()
-    decide_by = question.verdict or (None if study.claim is None else study.claim.verdict)
-    assert decide_by is not None
-    return decide_by(records)
 
 
 def _undecided(test: str, reason: str) -> Verdict:
