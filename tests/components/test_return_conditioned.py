@@ -5,11 +5,13 @@ import dataclasses
 import jax.numpy as jnp
 import jax.random as jr
 import numpy as np
+import pytest
 
 from golden import networks, tiny
 from odaf.components.networks import init_mlp
 from odaf.components.return_conditioned import ReturnConditionedActor
 from odaf.data.normalisation import Normaliser
+from odaf.errors import DatasetError
 from odaf.training.policy import Policy
 
 
@@ -44,3 +46,8 @@ def test_a_policy_counts_the_rewards_of_each_episode_without_a_discount():
     alone = dataclasses.replace(policy, actor=dataclasses.replace(actor, start=jnp.asarray(8.25)))
     np.testing.assert_allclose(actions[0], alone.act(alone.begin(), rows[0])[0], rtol=1e-5)
     assert not np.allclose(actions[0], actions[1])
+    for wrong in (1.0, [1.0, 2.0, 3.0], np.ones((2, 1))):
+        with pytest.raises(DatasetError, match=r"reward: has shape \(.*\), not \(2,\)"):
+            policy.observe(carry, wrong)
+    with pytest.raises(DatasetError, match="reward: is not a finite number"):
+        policy.observe(carry, [1.0, np.nan])

@@ -207,10 +207,24 @@ class Policy:
         return carry._replace(memory=self.derivation.acted(played.reshape(shape), carry.memory))
 
     def observe(self, carry: PyTree, rewards: np.ndarray | Sequence[float] | float) -> PyTree:
-        """The carry after the rewards [rows] that the last actions earned, in the log's units."""
+        """The carry after the rewards [rows] that the last actions earned, in the log's units.
+
+        Raises:
+            DatasetError: they are not one finite number for each episode, and the actor remembers them.
+        """
         if not self.has_memory:
             return carry
-        earned = jnp.asarray(np.atleast_1d(np.asarray(rewards, np.float32)))
+        given = np.atleast_1d(np.asarray(rewards, np.float32))
+        if self.actor.takes_rewards:
+            episodes = np.shape(jax.tree.leaves(carry)[0])[0]
+            if given.shape != (episodes,):
+                raise DatasetError(f"reward: has shape {given.shape}, not ({episodes},), one number for each episode")
+            if not np.isfinite(given).all():
+                raise DatasetError(
+                    "reward: is not a finite number, and what is still to be earned is counted from it; give 0 for a "
+                    "step whose reward is not known"
+                )
+        earned = jnp.asarray(given)
         if isinstance(carry, Carry):
             return carry._replace(actor=self.actor.observe(carry.actor, earned))
         return self.actor.observe(carry, earned)
