@@ -151,3 +151,25 @@ def test_a_function_of_ones_own_is_known_by_its_name():
         odaf.register(hopper)
     with pytest.raises(ConfigError, match="has no name that settings could hold"):
         odaf.register(lambda observations, actions, next_observations: observations[:, 0] > 0.0)
+
+
+def test_functions_that_differ_in_what_they_hold_are_two():
+    """One piece of code with another limit is another task; the first one must not stand in for it."""
+
+    def made(limit):
+        def held_limit_in_a_test(observations, actions, next_observations):
+            return next_observations[:, 0] > limit
+
+        return held_limit_in_a_test
+
+    def with_default(limit):
+        def default_limit_in_a_test(observations, actions, next_observations, limit=limit):
+            return next_observations[:, 0] > limit
+
+        return default_limit_in_a_test
+
+    for maker in (made, with_default):
+        odaf.register(maker(2.5))
+        odaf.register(maker(2.5))  # read in again, as in a notebook
+        with pytest.raises(ConfigError, match="another function of this process has that name"):
+            odaf.register(maker(3.0))

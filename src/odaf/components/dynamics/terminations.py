@@ -93,9 +93,17 @@ def add(function: Any) -> Any:
     if not name.isidentifier():
         raise ConfigError(f"termination {function!r}: has no name that settings could hold; write it with `def`")
     before = _KNOWN.setdefault(name, function)
-    if before is not function and getattr(before, "__code__", 0) != getattr(function, "__code__", 1):
+    if before is not function and _text(before) != _text(function):
         raise ConfigError(f"termination {name!r}: another function of this process has that name; choose another")
     return function
+
+
+def _text(function: Any) -> Any:
+    """What tells a function from one that was read in again, as in a notebook: its code and the values it holds."""
+    if not hasattr(function, "__code__"):
+        return id(function)
+    held = tuple(repr(cell.cell_contents) for cell in function.__closure__ or ())
+    return function.__code__, repr((function.__defaults__, function.__kwdefaults__)), held
 
 
 def termination(name: str) -> Termination:
