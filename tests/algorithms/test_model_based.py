@@ -268,6 +268,18 @@ def test_a_termination_that_does_not_fit_the_log_is_reported():
     found = termination_errors(sees, log)
     assert found == {"ends": 4, "missed": 0.25, "invented": pytest.approx(1 / 7)}
     assert termination_errors(never, log) == {"ends": 4, "missed": 1.0, "invented": 0.0}
+    with pytest.raises(ConfigError, match=r"termination='columns' gives bool of shape \(12, 1\) for 12 rows"):
+        termination_errors(columns, log)
+    with pytest.raises(ConfigError, match="termination='numbers' gives float32"):
+        termination_errors(numbers, log)
+
+
+def columns(observations, actions, next_observations):
+    return next_observations[:, :1] > 2.0
+
+
+def numbers(observations, actions, next_observations):
+    return next_observations[:, 0]
     learner = dataclasses.replace(
         MOPO_SMALL,
         dynamics=EnsembleConfig(hidden_sizes=(4,), members=2, elites=1, epochs=1, epoch_steps=2, batch_size=4),

@@ -136,7 +136,12 @@ class ModelBased(Algorithm[ModelBasedState]):
     def pretrain(
         self, dataset: Dataset, normaliser: Normaliser, key: PRNGKeyArray, progress: PretrainProgress
     ) -> tuple[TransitionEnsemble, dict[str, Any]]:
-        """The model fitted to the log; the report says what it is worth, and whether `termination` fits the log."""
+        """The model fitted to the log; the report says what it is worth, and whether `termination` fits the log.
+
+        Raises:
+            ConfigError: `termination` does not give one truth value a row.
+        """
+        ends = termination_errors(termination(self.termination), dataset)  # first: it takes no time, the fit does
         model, findings = fit_transitions(
             self.dynamics,
             dataset,
@@ -145,7 +150,6 @@ class ModelBased(Algorithm[ModelBasedState]):
             lambda done, steps: progress("dynamics model", done, steps),
         )
         warnings = findings.pop("warnings")
-        ends = termination_errors(termination(self.termination), dataset)
         for name, what in (("missed", "true ends"), ("invented", "rows that went on")):
             if ends[name] > TOLERATED:
                 warnings.append(
@@ -274,10 +278,18 @@ def termination_errors(ends: Termination, dataset: Dataset) -> dict[str, Any]:
 
     Returns:
         "missed" of the true ends ("ends" is how many there are), and "invented" of the other rows; 0 of none.
+
+    Raises:
+        ConfigError: it does not give one truth value a row.
     """
     recorded = ~(dataset.terminated & np.all(dataset.observations == dataset.next_observations, axis=1))
     columns = dataset.observations, scale_actions(dataset.actions, dataset.action_low, dataset.action_high)
-    found = np.asarray(ends(*(jnp.asarray(c, jnp.float32) for c in (*columns, dataset.next_observations))), bool)
+    found = np.asarray(ends(*(jnp.asarray(c, jnp.float32) for c in (*columns, dataset.next_observations))))
+    if found.shape != (len(dataset),) or found.dtype != bool:
+        raise ConfigError(
+            f"termination={getattr(ends, '__name__', ends)!r} gives {found.dtype} of shape {found.shape} for "
+            f"{len(dataset):,} rows; it must give one truth value a row, such as next_observations[:, 0] > 2.5"
+        )
     true, others = recorded & dataset.terminated, ~dataset.terminated
     return {
         "ends": int(true.sum()),
