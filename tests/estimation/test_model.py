@@ -79,6 +79,7 @@ def test_rollouts_of_a_known_plant_are_exact(high: float):
     np.testing.assert_allclose(visited.running[:, 3:], 0.5 ** np.arange(STEPS)[:, None] * np.ones(3), rtol=1e-5)
     follows = np.minimum(starts + 0.5 * (DRIFT[1] + ACTION), high)
     np.testing.assert_allclose(visited.states[0, 3:, 0], follows, rtol=1e-4)
+    np.testing.assert_allclose(visited.actions, np.full((STEPS, MEMBERS * 3, 1), ACTION), rtol=1e-5)
     np.testing.assert_allclose(visited.rewards[1, 3:], np.minimum(3.0 + 2.0 * follows, high), rtol=1e-4)
 
 

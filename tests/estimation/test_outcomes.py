@@ -58,12 +58,23 @@ def test_what_unlike_states_may_earn_by_hand(log: Evidence, known: KnownOutcomes
     states = np.array([[here, here], [away, here], [away, away]])[..., None]  # two episodes of three steps
     running = np.array([[1.0, 1.0], [0.5, 1.0], [0.25, 1.0]])
     rewards = np.array([[0.0, 0.0], [0.1, 0.0], [high + 1.0, low - 1.0]])
-    for discount, found in zip((1.0, GAMMA), known.unknown(Visited(states, running, rewards)), strict=True):
+    visited = Visited(states, running, rewards, np.zeros((3, 2, 1)))
+    for discount, found in zip((1.0, GAMMA), known.unknown(visited), strict=True):
         assert found.share == pytest.approx((0.5 + 0.25 + 1.0) / 4.75)
         assert (found.low, found.high) == pytest.approx((low, high))
         less = 0.5 * discount * (0.1 - low) + 0.25 * discount**2 * (high + 1.0 - low)
         more = 0.5 * discount * (high - 0.1) + 1.0 * discount**2 * (high - low + 1.0)
         assert (found.below, found.above) == pytest.approx((less / 2, more / 2))
+
+
+def test_where_no_one_ever_acted_so_nothing_is_known_though_a_model_leads_home():
+    dataset = gliding(60, ends=False)
+    narrow = dataclasses.replace(dataset, actions=0.2 * dataset.actions)
+    known = KnownOutcomes(Evidence(narrow, HORIZON, (1.0,), SMALL, jr.key(0)))
+    assert known.beyond(np.array([[0.0], [0.205], [0.25], [-0.25]])).tolist() == [False, False, True, True]
+    home = np.zeros((2, 1, 1))
+    (found,) = known.unknown(Visited(home, np.ones((2, 1)), np.zeros((2, 1)), np.array([[[0.1]], [[0.9]]])))
+    assert found.share == 0.5 and found.below == pytest.approx(-found.low) and found.above == pytest.approx(found.high)
 
 
 def test_an_episode_may_end_so_that_nothing_is_earned_lies_in_the_range():

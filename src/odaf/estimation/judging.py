@@ -62,7 +62,8 @@ def why_open(unknown: Unknown) -> str:
     """Why unlike states leave a verdict open."""
     return (
         f"{unknown.share:.0%} of the states that the policy is predicted to come to are unlike any that the log shows, "
-        f"and what these may earn ({unknown.low:.4g} to {unknown.high:.4g} a step, as episodes of the log do) decides: "
+        f"or follow actions beyond all logged ones, and what these may earn ({unknown.low:.4g} to {unknown.high:.4g} "
+        "a step, as episodes of the log do) decides: "
         f"up to {unknown.below:.4g} less an episode than estimated, or {unknown.above:.4g} more"
     )
 

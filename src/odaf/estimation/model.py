@@ -126,7 +126,7 @@ class FittedModel:
         own = (jnp.asarray(log.normaliser.mean), jnp.asarray(log.normaliser.std))
         theirs = (jnp.asarray(player.mean), jnp.asarray(player.scale))
         watched = np.unique(np.linspace(0, len(self.starts) - 1, WATCHED).astype(np.int64))
-        sums, (states, running, rewards) = _rollout(
+        sums, (states, running, rewards, actions) = _rollout(
             self.model,
             player.actor,
             (*own, *theirs),
@@ -144,7 +144,12 @@ class FittedModel:
         steps = np.asarray(running).reshape(log.horizon, -1)
         return Played(
             values,
-            Visited(np.asarray(states).reshape(*steps.shape, -1), steps, np.asarray(rewards).reshape(steps.shape)),
+            Visited(
+                np.asarray(states).reshape(*steps.shape, -1),
+                steps,
+                np.asarray(rewards).reshape(steps.shape),
+                np.asarray(actions).reshape(*steps.shape, -1),
+            ),
         )
 
 
@@ -225,25 +230,26 @@ def _rollout(
     watched: Int[Array, " watched"],
     horizon: int,
     draws: bool,
-) -> tuple[Float[Array, "discounts 2 members rows"], tuple[Array, Array, Array]]:
+) -> tuple[Float[Array, "discounts 2 members rows"], tuple[Array, Array, Array, Array]]:
     """Sums of rewards and of ones, each weighed by discount and by the share that still runs.
 
     Then, of the starts that are watched, the state that each step led to [horizon, members, watched, obs], the share
-    that still ran when it was taken, and its reward [horizon, members, watched].
+    that still ran when it was taken, its reward [horizon, members, watched], and its action.
     """
     members, (rows, width) = model.dynamics.bootstraps, starts.shape
     own_mean, own_std, mean, scale = (each[None] for each in scaling)
 
-    def step(carry: Carry, number: Array) -> tuple[Carry, tuple[Array, Array, Array]]:
+    def step(carry: Carry, number: Array) -> tuple[Carry, tuple[Array, Array, Array, Array]]:
         states, runs, weight, sums = carry
         key_act, key_next = jr.split(jr.fold_in(key, number))
         seen = (states.reshape(-1, width) * own_std + own_mean - mean) / scale
         actions, _ = actor.act(actor.begin(members * rows), seen, key_act if draws else None)
         normal = jr.normal(key_next, (members, rows, width + 1))
-        following, rewards, ends = model.step(states, actions.reshape(members, rows, -1), normal)
+        actions = actions.reshape(members, rows, -1)
+        following, rewards, ends = model.step(states, actions, normal)
         earned = runs[None] * jnp.stack([rewards, jnp.ones_like(rewards)])
         sums = sums + weight[:, None, None, None] * earned[None]
-        shown = following[:, watched], runs[:, watched], rewards[:, watched]
+        shown = following[:, watched], runs[:, watched], rewards[:, watched], actions[:, watched]
         return (following, runs * (1.0 - ends), weight * discounts, sums), shown
 
     carry = (

@@ -7,12 +7,14 @@ those of rollouts in the fitted model. One of them is *unlike* the log's where i
 hundredth of the states of one logged episode lie from those of others.
 
 It is outcomes that must be known, not actions: where operators hold an action for minutes every other one is rare, and
-still may lead to states that the log knows well; and a policy that takes usual actions at wrong moments leaves it. What
+still may lead to states that the log knows well; and a policy that takes usual actions at wrong moments leaves it. But
+where no one ever acted so, nothing tells what an action leads to, and a model that sees it lead home only goes on as it
+learnt to: a step is unlike, too, if an action lies beyond all logged ones by more than a twentieth of their range. What
 an unlike state earns is taken for unknown, between what episodes of the log earn a step (its quantiles) and nothing, if
 the episode should end there:
 
-    below = E sum_t gamma^t S_t 1[ s_{t+1} unlike ] ( r_t - low )^+       by so much less may an episode be worth,
-    above = E sum_t gamma^t S_t 1[ s_{t+1} unlike ] ( high - r_t )^+      and by so much more
+    below = E sum_t gamma^t S_t 1[ t unlike ] ( r_t - low )^+       by so much less may an episode be worth,
+    above = E sum_t gamma^t S_t 1[ t unlike ] ( high - r_t )^+      and by so much more
 
 r_t and S_t, the share of episodes that still run, are the model's. The range that the data leave open takes the place
 of a guess, as in Manski (1990).
@@ -30,6 +32,7 @@ SPREAD_FLOOR = 1e-2  # e: in directions of less variance than this, distances do
 ROWS = 10_000  # of the log at most, that states are compared with
 STATES = 4_000  # at most, that are compared
 FOLDS = 5  # of episodes: each is compared with the others
+MARGIN, ROUNDING = 0.05, 1e-3  # an action may lie so far beyond the logged ones: of their range, and in any case
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,11 +43,13 @@ class Visited:
         states: [steps, episodes, obs_dim], which each step led to, normalised.
         running: [steps, episodes], share of the episode that still runs when the step is taken.
         rewards: [steps, episodes], expected of the step, in the log's unit.
+        actions: [steps, episodes, act_dim] of each step, in [-1, 1].
     """
 
     states: np.ndarray
     running: np.ndarray
     rewards: np.ndarray
+    actions: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -52,7 +57,7 @@ class Unknown:
     """What the log leaves open about a policy, at one discount.
 
     Attributes:
-        share: of its steps, those that lead to states unlike the log's.
+        share: of its steps, those that lead to states unlike the log's, or take actions beyond all of its.
         below: how much less an episode may be worth than the model says, in the log's unit of reward.
         above: how much more.
         low: the least that an unlike state is taken to earn.
@@ -85,6 +90,9 @@ class KnownOutcomes:
             apart[here] = self._distances(tree, log.next_observations[asked[here]])
         self.bound = float(np.quantile(apart, 1.0 - RARE))
         self._tree = self._tree_of(rows[kept])
+        low, high = log.actions.min(axis=0), log.actions.max(axis=0)
+        margin = np.maximum(MARGIN * (high - low), ROUNDING)
+        self._actions = low - margin, high + margin
         lengths = log.dataset.episode_lengths()
         earned = np.add.reduceat(log.dataset.rewards.astype(np.float64), log.starts) / lengths
         tail = 0.5 * (1.0 - log.settings.confidence)
@@ -95,11 +103,17 @@ class KnownOutcomes:
         """[n] bool for states [n, obs_dim], normalised."""
         return self._distances(self._tree, states) > self.bound
 
+    def beyond(self, actions: np.ndarray) -> np.ndarray:
+        """[n] bool for actions [n, act_dim] in [-1, 1]: whether no one ever acted so."""
+        (low, high), taken = self._actions, np.clip(actions, -1.0, 1.0)
+        return np.any((taken < low) | (taken > high), axis=1)
+
     def unknown(self, visited: Visited) -> tuple[Unknown, ...]:
         """What the log leaves open about whoever came to these states, at each discount."""
         steps, episodes = visited.running.shape
         chosen = np.random.default_rng(0).permutation(steps * episodes)[:STATES]
-        unlike = self.unlike(visited.states.reshape(steps * episodes, -1)[chosen])
+        states, actions = (column.reshape(steps * episodes, -1)[chosen] for column in (visited.states, visited.actions))
+        unlike = self.unlike(states) | self.beyond(actions)
         running, rewards = (column.ravel()[chosen].astype(np.float64) for column in (visited.running, visited.rewards))
         share = float(np.sum(running * unlike) / max(np.sum(running), 1e-12))
         found = []

@@ -110,8 +110,8 @@ class Valuation:
         episodes: in the log.
         confidence: of all intervals, over episodes.
         unlike: share of the policy's actions that are less probable than all but a hundredth of the logged ones.
-        unlike_states: share of its steps that are predicted to lead to states unlike the logged ones; None where no
-            model was fitted, or it does not hold for the log.
+        unlike_states: share of its steps that are predicted to lead to states unlike the logged ones, or to take
+            actions beyond all of these; None where no model was fitted, or it does not hold for the log.
         notes: what a reader has to know besides, as sentences.
     """
 
