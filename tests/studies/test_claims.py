@@ -100,7 +100,12 @@ def test_mixtures_ask_for_a_higher_mean_and_a_smaller_fall_over_all_shares() -> 
     found = mixtures.verdict(fewer)
     assert found.verdict == "not decided" and "4 of 5 shares are measured with both" in found.reasons[0]
     # Means over seeds 90.5, 89.5, ..., 86.5: slope -1 for ten per cent, mean 88.5, fall 4.
-    assert "| odaf-paper | 90.5 | 89.5 | 88.5 | 87.5 | 86.5 | -1.0 | 88.5 | 4.0 | 2 |" in mixtures.table(records)
+    row = "| odaf-paper | 90.5 | 89.5 | 88.5 | 87.5 | 86.5 | -1.0 | 88.5 | 4.0 | 2 |"
+    assert "**hopper**, 100,000 rows." in mixtures.table(records) and row in mixtures.table(records)
+    public = [{**one, "data": {**one["data"], "transitions": 999_000}} for one in records]  # of the same names
+    assert "**hopper**, 999,000 rows." in mixtures.table(public) and row in mixtures.table(public)
+    long = [{**one, "task": f"{one['task']}-1000k"} for one in public]
+    assert mixtures.table([*records, *long]).count(row) == 6
 
 
 def test_the_table_of_fifteen_logs_has_the_papers_scores_beside_ours() -> None:
@@ -152,6 +157,9 @@ def test_a_victim_below_its_log_is_not_decided_whatever_its_area() -> None:
     assert attacks_table.verdict(records(clean=45.0)).verdict == "held"
     found = attacks_table.verdict(records(clean=35.0))
     assert found.verdict == "not decided" and "below its log's mean 40.0" in found.reasons[0] and found.enough is None
+    lost = [{**one, "found": None} if one["seed"] == 2 else one for one in records(clean=45.0)]
+    found = attacks_table.verdict(lost)
+    assert found.verdict == "not decided" and "1 of 3 seeds diverged" in found.reasons[0]
 
 
 def knocked(task: str, method: str, clean: float, beyond: list[float | None]) -> list[dict[str, Any]]:
@@ -174,6 +182,8 @@ def test_knocked_policies_must_come_back_on_two_robots_of_three() -> None:
         records += knocked(f"{robot}-medium-expert", "odaf-paper", 60.0, [0.1, 0.12, 0.11])
         records += knocked(f"{robot}-medium-expert", "odaf-paper-without-outcome", 60.0, [0.5, 0.51, 0.55])
     assert knocks_table.verdict(records).verdict == "held"
+    lost = knocks_table.verdict([{**one, "found": None} if one["seed"] == 2 else one for one in records])
+    assert lost.verdict == "not decided" and "1 of 3 seeds diverged" in lost.reasons[0]
     fallen = [*records[:6], *knocked("halfcheetah-medium-expert", "odaf-paper", 60.0, [None, None])]
     found = knocks_table.verdict(fallen)
     assert found.verdict == "not decided" and "no episode lasted until the knock" in " ".join(found.reasons)
@@ -219,6 +229,8 @@ def test_validation_asks_for_both_areas_the_gap_and_a_blind_control() -> None:
     assert validation_table.verdict(records(0.9, control=0.9)).verdict == "not held"
     weak = validation_table.verdict(records(0.9, r_squared=0.8))
     assert weak.verdict == "not decided" and "R2 is 0.80" in weak.reasons[0]
+    lost = validation_table.verdict([{**one, "found": None} if one["seed"] == 0 else one for one in records(0.9)])
+    assert lost.verdict == "not decided" and "1 of 3 seeds diverged" in lost.reasons[0]
     assert "| hopper-medium | odaf | 3 | 0.90 | 0.85 | 0.85 | 0.81 |" in validation_table.table(records(0.9))
 
 
@@ -236,6 +248,22 @@ def test_the_claims_are_those_that_the_ledgers_bear_out() -> None:
     assert theory.verdict == "not held" and "hold" in theory.reasons[-1]
     assert {name: each["verdict"] for name, each in written.items()} == {n: each.verdict for n, each in found.items()}
     assert all({"verdict", "test", "seeds", "interval", "command"} <= set(each) for each in written.values())
+    page = RESULTS.parent / "docs" / "claims.md"
+    drawn = claims.markdown(answers, RESULTS, page.parent)
+    assert page.read_text(encoding="utf-8") == drawn, "draw it again with `odaf claims`"
+
+
+def test_a_maze_policy_that_diverged_earned_nothing() -> None:
+    def one(seed: int, earned: float | None) -> dict[str, Any]:
+        final = None if earned is None else {"mean_return": earned}
+        return {
+            "maze": "stitch", "method": "odaf-paper", "steps": claims.MAZE_STEPS, "seed": seed, "final": final,
+            "data": {"best_return": 70.0}, "seconds": {"total": 9.0},
+        }  # fmt: skip
+
+    assert claims.stitching([one(0, 110.0), one(1, 112.0)]).verdict == "held"
+    found = claims.stitching([one(0, 110.0), one(1, 112.0), one(2, None)])
+    assert found.verdict == "not decided" and found.seeds == 3
 
 
 def test_without_records_nothing_is_decided(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -27,7 +27,8 @@ def test_one_part_below_zero_is_enough_not_to_hold_and_its_interval_is_corrected
     # Below zero by its own interval, but not by one that many parts widen.
     weak = part("weak", (-1.0, -2.2, -0.6, -1.2))
     assert decide([weak]).verdict == "not held"
-    assert decide([weak, *(part(str(number), ABOVE) for number in range(9))]).verdict == "not decided"
+    among = decide([weak, *(part(str(number), ABOVE) for number in range(9))])
+    assert among.verdict == "not decided" and among.enough is not None and among.enough > 4  # four did not
 
 
 def test_what_is_open_is_said_with_the_seeds_that_would_decide() -> None:
@@ -35,6 +36,12 @@ def test_what_is_open_is_said_with_the_seeds_that_would_decide() -> None:
     assert found.verdict == "not decided" and found.part == "b" and found.reasons[0].startswith("b: +0.12")
     assert found.enough == difference(list(OPEN), [0.0] * 4, paired=True).enough
     assert f"about {found.enough:,} seeds would decide" in str(found)
+    # A part that lies below refutes the claim long before one that is nearly nothing could be above.
+    against = part("b", (-1.0, 1.0, -2.0, -2.5))
+    found = decide([part("a", (-9.0, 9.1, 9.0, -9.0)), against])
+    assert found.verdict == "not decided"
+    assert found.enough == difference(list(against.first), [0.0] * 4, paired=True, confidence=0.975).enough
+    assert decide([part("a", ()), against]).enough == found.enough  # whatever is missing
 
 
 @pytest.mark.parametrize(

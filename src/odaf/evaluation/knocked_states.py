@@ -45,7 +45,8 @@ class KnockedStates:
     """States after the knock, of the episodes that were knocked.
 
     Attributes:
-        beyond: share of the states that lie further from the log than the 95th percentile of logged ones.
+        beyond: share of the steps at which the state lies further from the log than the 95th percentile of logged
+            ones, or the episode has ended: a fall is no return.
         recovery: steps until an episode is first back, by episode; infinite where it ended before.
         points: [states, 2] on the axes.
         log: [sample, 2] logged states on the same axes.
@@ -80,9 +81,9 @@ def knocked_states(
     logged = normaliser.normalise(dataset.observations[rows])
     axes = Axes.of(logged)
     states = observations[np.isfinite(observations).all(axis=-1)]
-    beyond = float(np.mean(ground.distances(states) > ground.threshold))
+    near = int(np.sum(ground.distances(states) <= ground.threshold))
     return KnockedStates(
-        beyond,
+        1.0 - near / (observations.shape[0] * observations.shape[1]),
         ground.recovery(observations),
         axes.place(normaliser.normalise(states)),
         axes.place(logged),

@@ -98,6 +98,7 @@ CLAIM = Claim(
         "the table adds the share of resamples of the logs in which the term gains.",
     ),
     (
+        "The paper says nearly a fifth; the verdict asks for any gain, and the table has its size.",
         "The paper shows a picture for logs that it does not list, and does not say which base it takes the term from. "
         "Its own table has RORL at 85.7 and the method at 87.9, 2.6 % above.",
         "50,000 updates, 10,000 with RORL's losses; the released code trains for millions.",

@@ -8,7 +8,7 @@ from typing import Any
 
 from odaf.studies.final_scores import pairs
 from odaf.studies.job import Record
-from odaf.studies.of_policy import below_log, log_mean
+from odaf.studies.of_policy import below_log, diverged, log_mean
 from odaf.studies.robots import ROBOTS
 from odaf.studies.tables import grouped
 from odaf.studies.verdict import Claim, Part, Verdict, decide
@@ -24,9 +24,11 @@ def attacked(records: Sequence[Record]) -> list[Record]:
 
 
 def part(records: Sequence[Record], task: str, attack: str, method: str, other: str) -> Part:
-    """That a method's area exceeds another's, seed by seed; void where one is below the log unattacked."""
+    """That a method's area exceeds another's, seed by seed; void where one is below the log unattacked, or diverged."""
     areas: dict[str, dict[int, float]] = {method: {}, other: {}}
-    void = ""
+    every = [one for one in records if one.get("measure") == "attacked" and one["task"] == task]
+    lost = {name: diverged([one for one in every if one["method"] == name]) for name in areas}
+    void = "; ".join(f"{name}: {reason}" for name, reason in lost.items() if reason)
     for one in attacked(records):
         if (one["task"], one["found"]["attack"]) == (task, attack) and one["method"] in areas:
             areas[one["method"]][one["seed"]] = one["found"]["area"]

@@ -37,15 +37,22 @@ class Question:
 
 
 def stitching(records: Sequence[Record], method: str = "odaf-paper") -> Verdict:
-    """Whether a method's mean return in the stitching maze exceeds the best logged one."""
-    values = tuple(one["final"]["mean_return"] - one["data"]["best_return"] for one in _maze(records, method))
+    """Whether a method's mean return in the stitching maze exceeds the best logged one; a seed that diverged has 0."""
+    values = tuple(
+        (0.0 if one["final"] is None else one["final"]["mean_return"]) - one["data"]["best_return"]
+        for one in _maze(records, method)
+    )
     return decide([Part(f"{method} over the best logged return in the stitching maze", values)])
 
 
 def cost(records: Sequence[Record], method: str = "odaf-paper") -> Verdict:
     """Whether training in the stitching maze takes less time than MBRCSL's, each alone on a processor."""
     ours, theirs = (
-        tuple(one["seconds"]["total"] for one in _maze(records, name) if one.get("lanes", 1) == 1)
+        tuple(
+            one["seconds"]["total"]
+            for one in _maze(records, name)
+            if one.get("lanes", 1) == 1 and one["final"] is not None
+        )
         for name in (method, "mbrcsl")
     )
     return decide([Part(f"seconds in the stitching maze, mbrcsl over {method}", theirs, ours, paired=False)])
@@ -75,7 +82,9 @@ CLAIMS: Mapping[str, Question] = {
     ),
     "attacks": Question("holds under attacks on what it sees", "attacks"),
     "validation": Question("the outcome's uncertainty tells safe actions from unsafe ones", "validation"),
-    "ablation": Question("its term is what matters: without it scores fall by about a fifth", "ablation"),
+    "ablation": Question(
+        "its term is what matters: without it scores fall (by about a fifth, which is not asked for)", "ablation"
+    ),
     "knocks": Question("comes back from states outside the data", "knocks"),
     "theory": Question("its theory holds as printed", "theory", theory),
     "antmaze": Question("best in the ant mazes", None),
@@ -192,4 +201,4 @@ def _undecided(test: str, reason: str) -> Verdict:
 
 def _maze(records: Sequence[Record], method: str) -> list[Record]:
     own = [one for one in records if (one.get("maze"), one.get("method")) == ("stitch", method)]
-    return [one for one in own if one["steps"] == MAZE_STEPS and one["final"] is not None]
+    return [one for one in own if one["steps"] == MAZE_STEPS]

@@ -118,6 +118,9 @@ class Knocking(OfPolicy):
             self.episodes,
         )
         seen = episodes.observations[episodes.flags["knocked"], self.at : self.at + self.followed + 1]
+        # Where all fall, nothing is played to the end; the steps that are missing are no return.
+        missing = self.followed + 1 - seen.shape[1]
+        seen = np.pad(seen, ((0, 0), (0, missing), (0, 0)), constant_values=np.nan)
         ground = KnownGround.of(dataset, normaliser)
         found = knocked_states(dataset, normaliser, ground, seen)
         if found is None:

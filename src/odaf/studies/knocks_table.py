@@ -8,7 +8,7 @@ from typing import Any
 
 from odaf.studies.final_scores import pairs
 from odaf.studies.job import Record
-from odaf.studies.of_policy import below_log, log_mean
+from odaf.studies.of_policy import below_log, diverged, log_mean
 from odaf.studies.robots import ROBOTS
 from odaf.studies.tables import grouped
 from odaf.studies.verdict import Claim, Part, Verdict, decide
@@ -24,17 +24,22 @@ def knocked(records: Sequence[Record]) -> list[Record]:
 
 
 def part(records: Sequence[Record], task: str, method: str, base: str, at: int = 500) -> Part:
-    """That less of the base's states after the large knock stay outside the log than... of the method's; see `verdict`.
+    """That more of the base's states after the large knock lie outside the log than of the method's; see `verdict`.
 
-    Void where one of them earns less than the log unknocked, or no episode lasted until the knock."""
+    Void where one of them earns less than the log unknocked, or diverged, or no episode lasted until the knock.
+    """
     beyond: dict[str, dict[int, float]] = {method: {}, base: {}}
     void = ""
     for name in beyond:
-        own = [
+        every = [
             one
-            for one in knocked(records)
-            if (one["task"], one["method"], one["identity"]["settings"]["at"]) == (task, name, at)
+            for one in records
+            if one.get("measure") == "knocked"
+            and (one["task"], one["method"], one["identity"]["settings"]["at"]) == (task, name, at)
         ]
+        own = knocked(every)
+        if not void and (reason := diverged(every)):
+            void = f"{name}: {reason}"
         for one in own:
             if one["found"]["after"] is not None:
                 beyond[name][one["seed"]] = one["found"]["after"]["beyond"]
@@ -65,7 +70,7 @@ CLAIM = Claim(
         "Once, at step 500, motors are off for 5 to 30 simulator steps, which are not counted; 20 episodes of 1,000 "
         "counted steps, deterministic policy. Starts with noise of 0.05 to 0.2 standard deviations beside it.",
         "After the large knock (15 steps) 100 steps are followed: a state is outside the log if its nearest logged "
-        "neighbour is further than the 95th percentile of such distances within the log.",
+        "neighbour is further than the 95th percentile of such distances within the log, or if the robot has fallen.",
         "Held if the share of states outside the log is smaller with the term than without it, on at least two robots "
         "of three. A policy that earns less than its log unknocked decides nothing.",
     ),
@@ -87,8 +92,9 @@ def table(records: Sequence[Record]) -> str:
     lines = [
         "Normalised scores of episodes in which the controls are off for so many simulator steps once, at the counted",
         "step given; then from starts with noise, in standard deviations of the log. Means over seeds. `outside`:",
-        "share of the states in the 100 steps after the large knock outside the log; `back`: episodes that come back,",
-        "and the median of the steps it takes. A policy below its log's mean unknocked is marked, and decides nothing.",
+        "share of the 100 steps after the large knock that lie outside the log or after a fall; `back`: episodes that",
+        "come back, and the median of the steps it takes. A policy below its log's mean unknocked is marked, and",
+        "decides nothing.",
         "Made by `odaf reproduce knocks` from the records in this folder.",
         "",
         f"| log | at | method | seeds | {' | '.join(levels)} | {' | '.join(f'start {noise}' for noise in noises)} "

@@ -137,15 +137,19 @@ CLAIM = Claim(
 def table(records: Sequence[Record]) -> str:
     """Markdown: for each robot and size a row for every method: score by share, slope, mean, fall."""
     finals = finals_of(records)
+    mixed = [record for record in records if "random_percent" in record["data"]]
     lines = [
         "Normalised scores at the last checkpoint by the percentage of random rows, means over seeds. `slope`: points",
         "gained for ten per cent more of them, by least squares; `fall` from the first share to the last.",
         "Made by `odaf reproduce mixtures` from the records in this folder.",
     ]
-    sizes = {record["data"]["transitions"] for record in records if "random_percent" in record["data"]}
     for robot in ROBOTS:
-        for size in sorted(sizes):
-            suffix = "" if size == ROWS else f"-{size / 1000:g}k"
+        sizes: dict[str, int] = {}  # by what the name of a log has behind the share; public ones have nothing there
+        for record in mixed:
+            if record["task"].startswith(f"{robot}-mixture-"):
+                suffix = record["task"].removeprefix(f"{robot}-mixture-").lstrip("0123456789")
+                sizes[suffix] = max(sizes.get(suffix, 0), record["data"]["transitions"])
+        for suffix, size in sorted(sizes.items(), key=lambda each: each[1]):
             rows = _rows(finals, robot, suffix)
             if rows:
                 lines += [

@@ -149,3 +149,9 @@ def below_log(clean: float, record: Record) -> str:
     if mean is None or clean >= mean:
         return ""
     return f"its clean score {clean:.1f} lies below its log's mean {mean:.1f}, so it has nothing to lose"
+
+
+def diverged(records: Sequence[Record]) -> str:
+    """Why the seeds that are left decide nothing, where others of the same policy diverged. Else empty."""
+    lost, seeds = {one["seed"] for one in records if one["found"] is None}, {one["seed"] for one in records}
+    return f"{len(lost)} of {len(seeds)} seeds diverged, and those that are left are a choice" if lost else ""

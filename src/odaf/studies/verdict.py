@@ -78,7 +78,7 @@ class Verdict:
         test: in words.
         seeds: the fewest that a part has; 0 where a part has none.
         interval: of the part that decided, or of the weakest; None where it has none.
-        enough: seeds a side that would decide, if means and spreads stayed as they are; None where that cannot be said.
+        enough: seeds a side that would decide, either way, if means and spreads stayed; None where that cannot be said.
         part: the part that decided, or the weakest.
         reasons: what keeps parts from being decided, or speaks against the claim.
         figures: of each part that has values: difference, interval and seeds.
@@ -142,10 +142,24 @@ def decide(parts: Sequence[Part], confidence: float = CONFIDENCE, needed: int | 
         return _verdict("held", test, weakest, for_it[weakest.name], reasons, figures)
     weakest = min(others, key=lambda part: (plain[part.name] is not None, _low(plain[part.name])))
     found = _verdict("not decided", test, weakest, plain[weakest.name], reasons, figures)
-    numbers = [None if (known := plain[part.name]) is None or part.void else known.enough for part in others]
-    numbers = [number for number in numbers if number is not None]
-    missing = needed - len(holding)
-    return replace(found, enough=sorted(numbers)[missing - 1] if len(numbers) >= missing else None)
+    ways = [_enough(parts, for_it, needed, 1), _enough(parts, against_it, most_below + 1, -1)]
+    return replace(found, enough=min((way for way in ways if way is not None), default=None))
+
+
+def _enough(
+    parts: Sequence[Part], found: "Mapping[str, Difference | None]", needed: int, side: Literal[1, -1]
+) -> int | None:
+    """Seeds with which so many parts lie on one side of zero, at the confidence that this takes; None if never."""
+    numbers = []
+    for part in parts:
+        known = found[part.name]
+        if known is None or part.void or known.mean * side <= 0.0:
+            continue
+        if known.decided:
+            numbers.append(min(known.counts))
+        elif known.enough is not None:
+            numbers.append(known.enough)
+    return sorted(numbers)[needed - 1] if len(numbers) >= needed else None
 
 
 def _verdict(
