@@ -224,7 +224,7 @@ def table(folder: Path = FOLDER) -> str:
     lines = [
         "| learner | updates | "
         + " | ".join(f"{side}, {part}" for part in parts for side in SIDES)
-        + " | seconds a run |",
+        + " | seconds a run: odaf, d3rlpy |",
         "|---" * (3 + 2 * len(parts)) + "|",
     ]
     for name in LEARNERS:
