@@ -13,6 +13,7 @@ import pytest
 
 import odaf
 from odaf.cli import main
+from odaf.cli.results import print_run
 from odaf.cli.train import values_of, with_ranges
 from odaf.environments.maze import STITCH
 
@@ -190,7 +191,7 @@ def test_evaluate_names_the_checkpoints_there_are(run_directory: Path, capsys: p
 
 
 def test_without_an_environment_train_says_so_and_evaluate_asks_for_one(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ):
     data, out = write_data(tmp_path / "plant.h5", None), tmp_path / "run"
     words = ["train", "behaviour-cloning", "--data", str(data), "--out", str(out), "--steps", "6"]
@@ -200,6 +201,11 @@ def test_without_an_environment_train_says_so_and_evaluate_asks_for_one(
     assert f"odaf assess {out} --data HOLDOUT" in printed.out
     assert main(["evaluate", str(out)]) == 2
     assert "--env" in capsys.readouterr().err
+    run = odaf.load_run(out)
+    monkeypatch.setattr(type(run.policy().actor), "takes_rewards", True)  # as MBRCSL's, which an assessment refuses
+    print_run(run)
+    printed = capsys.readouterr().out
+    assert f"odaf evaluate {out} --env ID" in printed and "odaf assess" not in printed
 
 
 def test_report_writes_one_page(run_directory: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from odaf.cli.spelling import spelled
+from odaf.errors import OdafError
 from odaf.report.plain_tables import table
 
 if TYPE_CHECKING:
@@ -119,8 +120,18 @@ def print_run(run: "Run") -> None:
             print(f"\nwarning, seed {seed}: {warning['message']}")
     place = quoted(run.directory)
     print(f"\nThe run is in {run.directory}; draw it with: odaf report {place} --out report.html")
-    if not scored:
+    if not scored and _counts_rewards(run):
+        print(f"Its policy counts what it earns, so only playing it judges it: odaf evaluate {place} --env ID")
+    elif not scored:
         print(f"Whether its policy may run, judged from a hold-out alone: odaf assess {place} --data HOLDOUT")
+
+
+def _counts_rewards(run: "Run") -> bool:
+    """Whether a hold-out cannot judge its policy; False where there is none yet."""
+    try:
+        return run.policy().actor.takes_rewards
+    except OdafError:
+        return False
 
 
 def print_runs(runs: Sequence["Run"], folder: Path) -> None:
