@@ -326,6 +326,7 @@ def test_tasks_have_the_published_values(name, task, expected):
         (MOPO, {"penalty": -1.0}, "penalty=-1.0 must not be negative"),
         (MOPO, {"real_fraction": 1.0}, "real_fraction=1.0"),
         (MOPO, {"termination": "falls"}, "termination='falls' is not known"),
+        (MOPO, {"temperature_max": -1.0}, "temperature_max=-1.0 must be positive"),
         (MOPO, {"horizon": 0}, "horizon=0 must be at least 1"),
         (MOPO, {"discount": 1.0}, "discount=1.0"),
         (MOPO, {"batch_size": 1}, "batch_size=1 leaves no row for rollouts"),

@@ -113,6 +113,8 @@ class ModelBased(Algorithm[ModelBasedState]):
                 "learner that needs no model then, such as td3-bc"
             )
         require_positive(self, ["initial_temperature"])
+        if self.temperature_max is not None:
+            require_positive(self, ["temperature_max"])  # below it, entropy would be pressed down
         require_counts(self, ("horizon", "rollout_rows", "retained", "refresh_every", "batch_size"))
         require_not_negative(self, ("actor_decay_updates", "normaliser_epsilon"))
         if self.real_rows == self.batch_size:
