@@ -6,7 +6,7 @@ A function of one's own has a name, by which settings and files know it:
     def tank_overflows(observations, actions, next_observations):
         return next_observations[:, 0] > 2.5           # jax.numpy; true where the task ends with this step
 
-    learner = odaf.preset("mopo", {"termination": "tank_overflows"})
+    learner = odaf.preset("mopo", termination="tank_overflows")
 
 States are in the log's units, actions in [-1, 1]. A package offers its functions by the entry points
 `odaf.terminations`, and every command knows them then.
