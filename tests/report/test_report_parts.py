@@ -197,7 +197,7 @@ def test_names_never_lie_on_each_other_on_the_page(runs, monkeypatch):
 
 def test_names_never_lie_on_each_other_in_picture_files(runs, monkeypatch, tmp_path):
     drawn = []
-    monkeypatch.setattr(figures, "_write", lambda figure, out: drawn.append(figure) or out)
+    monkeypatch.setattr(figures, "write_figure", lambda figure, out: drawn.append(figure) or out)
     curves, _ = figures.run_curves([runs[0]])
     curves = [dataclasses.replace(curves[0], label=name, index=index) for index, name in enumerate(LONG)]
     figures.learning_curves_figure(curves, tmp_path / "a.png", NEAR, title="A long title " * 9, note="a note " * 40)

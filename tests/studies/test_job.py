@@ -61,10 +61,11 @@ def test_a_comparison_is_complete_before_the_next_seed_begins() -> None:
 def test_every_plan_holds_together(name: str) -> None:
     jobs = STUDIES[name].jobs()
     assert len(jobs) > 2
-    lines: dict[str, float] = {}
+    lines: dict[str, dict[str, float]] = {}
     for one in jobs:  # what shares a directory is never under way twice, and grows
-        if one.do.line is not None:
-            before = [other.name for other in jobs[: jobs.index(one)] if other.do.line == one.do.line]
+        line = one.do.line
+        if line is not None:
+            before = lines.setdefault(line, {})
             assert set(before) <= set(one.after)
-            assert one.do.amount > lines.get(one.do.line, 0.0)
-            lines[one.do.line] = one.do.amount
+            assert one.do.amount > max(before.values(), default=0.0)
+            before[one.name] = one.do.amount

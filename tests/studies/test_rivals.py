@@ -54,7 +54,7 @@ def test_summary_has_each_seed_and_none_where_it_diverged() -> None:
 def test_a_mixed_log_has_the_experts_rows_and_then_random_ones(tmp_path: Path) -> None:
     log = MixedLog("hopper", random_percent=75, transitions=400, seed=3)
     mixed = Dataset.load(log.present(tmp_path))
-    assert log.name == "hopper-mixture-75" and len(mixed) == 400
+    assert log.name == "hopper-mixture-75-0.4k" and len(mixed) == 400
     assert 100 in mixed.episode_starts  # no episode reaches over the border
     assert mixed.rewards[:100].mean() > 2.0 > mixed.rewards[100:].mean()  # an expert earns about 3.6 a step
     assert mixed.environment is not None
