@@ -10,7 +10,8 @@ from odaf.data import Dataset
 from odaf.environments.controller import WaypointController
 from odaf.environments.maze import STITCH
 from odaf.environments.point_maze import PointMaze
-from odaf.environments.stitch_data import CONFIGS, Route, StitchConfig, direct_controller_return, generate
+from odaf.environments.stitch_config import BROAD
+from odaf.environments.stitch_data import CONFIGS, Driver, Route, StitchConfig, direct_controller_return, generate
 from odaf.errors import ConfigError
 
 PAPER = CONFIGS["stitch"]
@@ -56,7 +57,7 @@ def test_acceptance_at_full_size(name):
     assert cells & set(config.maze.avoid), "the best logged episode takes the detour"
 
 
-@pytest.mark.parametrize(("name", "ratio"), [("stitch", 1.8), ("crossroads", 2.6)])
+@pytest.mark.parametrize(("name", "ratio"), [("stitch", 1.8), ("crossroads", 2.6), ("ladder", 2.5)])
 def test_a_direct_drive_beats_the_log_by_far(name, ratio):
     config = CONFIGS[name]
     log = generate(config.with_repeats(5), seed=1)
@@ -66,6 +67,10 @@ def test_a_direct_drive_beats_the_log_by_far(name, ratio):
     assert log.episode_returns().max() < blind.mean() < knowing.mean()
     if name == "stitch":
         assert 128 < knowing.mean() < 144  # 136 over many episodes, spread 4
+    for index in range(log.num_episodes):
+        rows = log.episode(index)
+        cells = {config.maze.cell((x, y)) for x, y in log.observations[rows, :2].astype(float).tolist()}
+        assert cells & set(config.maze.avoid) or config.maze.goal not in cells, "somebody logged the good path"
 
 
 def test_no_logged_episode_is_stitched(tenth):
@@ -123,6 +128,19 @@ def test_more_repeats_of_one_route_leave_the_others_alone():
     np.testing.assert_array_equal(more.select([0, 2, 3, 4]).observations, few.observations)
 
 
+def test_drivers_take_turns_and_a_part_is_the_beginning_of_every_route():
+    two = PAPER.with_repeats(4).driven_by((Driver(), Driver(gain=3.0, damping=2.0, noise=0.5)))
+    broad, usual = generate(two, 0), generate(PAPER.with_repeats(4), 0)
+    forces = broad.actions[broad.episode(1)]
+    assert np.abs(np.diff(forces, axis=0)).mean() > 0.3  # an unsteady hand
+    np.testing.assert_array_equal(broad.select([0]).actions, usual.select([0]).actions)  # the first hand is the usual
+    assert StitchConfig.from_dict(json.loads(json.dumps(two.to_dict()))) == two
+    assert "drivers" not in PAPER.to_dict()  # logs of one hand are what they were
+    half = generate(two.part(50), 0)
+    np.testing.assert_array_equal(half.observations, broad.select([0, 1, 4, 5, 8, 9, 12, 13]).observations)
+    assert two.part(100) == two and PAPER.part(100) == PAPER and len(BROAD) == 9
+
+
 def test_random_walk_begins_after_the_last_goal_was_reached():
     config = dataclasses.replace(PAPER, routes=(Route("walk", ((2, 2),), 3, "random"),), accept=())
     log = generate(config, 0)
@@ -168,6 +186,16 @@ WRONG = {
     "no goals": (lambda: Route("a", (), 1), "route 'a': goals is empty"),
     "negative": (lambda: Route("a", ((2, 2),), -1), "route 'a': repeats is -1"),
     "after": (lambda: Route("a", ((2, 2),), 1, "dance"), "after is 'dance'; known are 'hold' and 'random'"),
+    "driver": (lambda: Driver(gain=0.0), r"driver: gain 0.0, damping 1.0, noise 0.0; give finite numbers"),
+    "no driver": (lambda: PAPER.driven_by(()), "drivers is empty; name at least one"),
+    "driver fields": (
+        lambda: StitchConfig.from_dict({**PAPER.to_dict(), "drivers": [{"speed": 1.0}]}),
+        r"driver: missing fields \[\], unknown fields \['speed'\]",
+    ),
+    "driver numbers": (
+        lambda: StitchConfig.from_dict({**PAPER.to_dict(), "drivers": [{"gain": "much"}]}),
+        "must hold numbers",
+    ),
     "fields": (lambda: StitchConfig.from_dict({"maze": {}}), r"missing fields \['routes'\]"),
     "route fields": (
         lambda: StitchConfig.from_dict({"maze": STITCH.to_dict(), "routes": [{"name": "a", "goal": [1, 1]}]}),

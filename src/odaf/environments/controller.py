@@ -7,7 +7,7 @@ import numpy as np
 from odaf.environments.maze import Cell, Maze
 
 POSITION_GAIN = 10.0
-VELOCITY_GAIN = -1.0
+DAMPING = 1.0
 WAYPOINT_RADIUS = 0.1  # closer than this to a waypoint, the next one becomes current
 WAYPOINT_NOISE = 0.2  # intermediate waypoints lie up to this far below and left of the cell's centre
 GOAL_MOVED = 1e-3  # a goal that moved further than this is a new goal
@@ -25,11 +25,18 @@ class WaypointController:
 
     The plan is remembered between calls and renewed when the goal moves. Positions are plain floats: for two numbers
     array arithmetic costs more than the simulation.
+
+    Args:
+        maze: where it drives.
+        rng: draws where waypoints lie.
+        gain: force for a distance of one cell to the waypoint.
+        damping: force against a velocity of one cell a second.
     """
 
-    def __init__(self, maze: Maze, rng: np.random.Generator):
+    def __init__(self, maze: Maze, rng: np.random.Generator, gain: float = POSITION_GAIN, damping: float = DAMPING):
         self._maze = maze
         self._rng = rng
+        self._gain, self._damping = gain, damping
         self._goal: Point | None = None
         self._cells: list[Cell] = []  # what is left of the path, the current waypoint's cell first
         self._waypoint: Point = (0.0, 0.0)
@@ -47,8 +54,8 @@ class WaypointController:
                 centre, noise = self._maze.centre(self._cells[0]), self._rng.uniform(0.0, WAYPOINT_NOISE, 2).tolist()
                 self._waypoint = (centre[0] - noise[0], centre[1] - noise[1])
         return (
-            _clip(POSITION_GAIN * (self._waypoint[0] - x) + VELOCITY_GAIN * vx),
-            _clip(POSITION_GAIN * (self._waypoint[1] - y) + VELOCITY_GAIN * vy),
+            _clip(self._gain * (self._waypoint[0] - x) - self._damping * vx),
+            _clip(self._gain * (self._waypoint[1] - y) - self._damping * vy),
         )
 
     def _plan(self, position: Point, goal: Point) -> None:

@@ -162,4 +162,14 @@ SHAFT = Maze(
     avoid=((1, 2), (2, 2)),
 )
 
-MAZES: Mapping[str, Maze] = {maze.name: maze for maze in (STITCH, SHAFT, CROSSROADS)}
+# A ladder with three rungs: the good path is its lower side, from end to end. Drivers go round one of its two loops;
+# those who go round the first come down the middle rung, those who go round the second climb it.
+LADDER = Maze(
+    name="ladder",
+    rows=("1111111", "1000001", "1010101", "1000001", "1111111"),
+    start=(3, 1),
+    goal=(3, 5),
+    avoid=((2, 1), (1, 1), (1, 2), (1, 3), (2, 3), (1, 4), (1, 5), (2, 5)),
+)
+
+MAZES: Mapping[str, Maze] = {maze.name: maze for maze in (STITCH, SHAFT, CROSSROADS, LADDER)}

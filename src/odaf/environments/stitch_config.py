@@ -1,11 +1,35 @@
 """What a stitching log is made of: a maze, kinds of episodes driven in it, and the figures the log must show."""
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from odaf.environments.maze import CROSSROADS, SHAFT, STITCH, Cell, Maze, as_cell
+from odaf.environments.controller import DAMPING, POSITION_GAIN
+from odaf.environments.maze import CROSSROADS, LADDER, SHAFT, STITCH, Cell, Maze, as_cell
 from odaf.errors import ConfigError
+
+
+@dataclass(frozen=True)
+class Driver:
+    """How the scripted controller holds the wheel; the defaults are those of the literature.
+
+    Attributes:
+        gain: force for a distance of one cell to the waypoint, before it is clipped to [-1, 1].
+        damping: force against a velocity of one cell a second.
+        noise: standard deviation of what is added to each force; the sum is clipped again.
+    """
+
+    gain: float = POSITION_GAIN
+    damping: float = DAMPING
+    noise: float = 0.0
+
+    def __post_init__(self):
+        if not (0.0 < self.gain < math.inf and 0.0 <= self.damping < math.inf and 0.0 <= self.noise < math.inf):
+            raise ConfigError(
+                f"driver: gain {self.gain}, damping {self.damping}, noise {self.noise}; give finite numbers, a gain "
+                "above 0, damping and noise of 0 or more"
+            )
 
 
 @dataclass(frozen=True)
@@ -44,6 +68,7 @@ class StitchConfig:
         maze: the map with start, goal and the detour's cells.
         routes: kinds of episodes, logged in this order.
         steps: length of every episode.
+        drivers: the episodes of a route are driven by these in turn.
         accept: (figure, lowest, highest) the log must satisfy; none checks nothing. Figures are undiscounted episode
             returns: "mean" and "best" of the whole log, "NAME/mean" and "NAME/best" of the route NAME.
     """
@@ -52,9 +77,12 @@ class StitchConfig:
     routes: tuple[Route, ...]
     steps: int = 200
     accept: tuple[tuple[str, float, float], ...] = ()
+    drivers: tuple[Driver, ...] = (Driver(),)
 
     def __post_init__(self):
         title = f"stitching data for maze '{self.maze.name}'"
+        if not self.drivers:
+            raise ConfigError(f"{title}: drivers is empty; name at least one, or leave it out for the usual one")
         if self.steps < 1:
             raise ConfigError(f"{title}: steps is {self.steps}; give the length of an episode, 1 or more")
         if sum(route.repeats for route in self.routes) < 1:
@@ -74,6 +102,15 @@ class StitchConfig:
         for name, _, _ in self.accept:
             if name not in known:
                 raise ConfigError(f"{title}: accept names '{name}'; known are {sorted(known)}")
+
+    def part(self, percent: int) -> "StitchConfig":
+        """The first so many per cent of each route's episodes, of one seed the same ones; without `accept`."""
+        routes = tuple(replace(route, repeats=route.repeats * percent // 100) for route in self.routes)
+        return self if percent == 100 else replace(self, routes=routes, accept=())
+
+    def driven_by(self, drivers: tuple[Driver, ...]) -> "StitchConfig":
+        """The same routes in other hands; without `accept`."""
+        return replace(self, drivers=drivers, accept=())
 
     def with_repeats(self, repeats: int) -> "StitchConfig":
         """The same routes, each logged `repeats` times; without `accept`, whose limits belong to the full size."""
@@ -95,12 +132,13 @@ class StitchConfig:
             ],
             "steps": self.steps,
             "accept": [list(check) for check in self.accept],
+            **({} if self.drivers == (Driver(),) else {"drivers": [asdict(driver) for driver in self.drivers]}),
         }
 
     @classmethod
     def from_dict(cls, fields: Mapping[str, Any]) -> "StitchConfig":
         """Inverse of `to_dict`; `ConfigError` names fields that are missing or unknown."""
-        _check_fields("stitching data", fields, required={"maze", "routes"}, optional={"steps", "accept"})
+        _check_fields("stitching data", fields, required={"maze", "routes"}, optional={"steps", "accept", "drivers"})
         maze = Maze.from_dict(fields["maze"])
         title = f"stitching data for maze '{maze.name}'"
         try:
@@ -112,7 +150,16 @@ class StitchConfig:
             routes=tuple(_route(route) for route in fields["routes"]),
             steps=_whole(title, "steps", fields.get("steps", 200)),
             accept=accept,
+            drivers=tuple(_driver(driver) for driver in fields.get("drivers", ({},))),
         )
+
+
+def _driver(fields: Mapping[str, Any]) -> Driver:
+    _check_fields("driver", fields, required=set(), optional={"gain", "damping", "noise"})
+    try:
+        return Driver(**{name: float(value) for name, value in fields.items()})
+    except (TypeError, ValueError) as error:
+        raise ConfigError(f"driver: {dict(fields)} must hold numbers ({error})") from error
 
 
 def _route(fields: Mapping[str, Any]) -> Route:
@@ -200,4 +247,30 @@ _CROSSROADS = StitchConfig(
     ),
 )
 
-CONFIGS: Mapping[str, StitchConfig] = {config.maze.name: config for config in (_PAPER, _SHAFT, _CROSSROADS)}
+# Every driver comes to the goal, half of them by each loop; nobody waits at the joint. Limits: the figures of seeds 0
+# to 2 with some room.
+_FIRST_LOOP, _SECOND_LOOP = ((1, 1), (1, 3), (3, 3), (3, 5)), ((3, 3), (1, 3), (1, 5), (3, 5))
+_LADDER = StitchConfig(
+    maze=LADDER,
+    routes=(
+        Route("first-loop-hold", goals=_FIRST_LOOP, repeats=250),
+        Route("first-loop-random", goals=_FIRST_LOOP, repeats=250, after="random"),
+        Route("second-loop-hold", goals=_SECOND_LOOP, repeats=250),
+        Route("second-loop-random", goals=_SECOND_LOOP, repeats=250, after="random"),
+    ),
+    steps=260,
+    accept=(
+        ("mean", 38.6, 40.4),
+        ("best", 58.0, 69.0),
+        ("first-loop-hold/mean", 34.3, 37.6),
+        ("first-loop-random/mean", 33.4, 36.8),
+        ("second-loop-hold/mean", 42.0, 45.8),
+        ("second-loop-random/mean", 41.0, 45.2),
+    ),
+)
+
+_HANDS = ((10.0, 1.0), (20.0, 1.0), (6.0, 0.5))
+BROAD = tuple(Driver(gain, damping, noise) for noise in (0.0, 0.3, 0.6) for gain, damping in _HANDS)
+"""Nine drivers: the usual one, a hasty and a gentle one, each steady, unsteady and more so."""
+
+CONFIGS: Mapping[str, StitchConfig] = {config.maze.name: config for config in (_PAPER, _SHAFT, _CROSSROADS, _LADDER)}

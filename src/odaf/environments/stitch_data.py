@@ -11,6 +11,7 @@ Differs from the original: all 200 transitions of an episode are kept, since the
 import math
 from collections.abc import Mapping
 from importlib.metadata import version
+from itertools import cycle, islice
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,13 +21,14 @@ from odaf.environments.contact_margins import ContactMargins
 from odaf.environments.controller import WaypointController
 from odaf.environments.maze import Cell, Maze
 from odaf.environments.registry import point_maze
-from odaf.environments.stitch_config import CONFIGS, Route, StitchConfig
+from odaf.environments.stitch_config import CONFIGS, Driver, Route, StitchConfig
 
 if TYPE_CHECKING:
     from odaf.environments.point_maze import PointMaze
 
-__all__ = ["CONFIGS", "Route", "StitchConfig", "direct_controller_return", "generate"]
+__all__ = ["CONFIGS", "Driver", "Route", "StitchConfig", "direct_controller_return", "generate"]
 
+USUAL = Driver()
 GOAL_NOISE = 0.25  # a driver's goal is a cell's centre plus U(-0.25, 0.25) in x and y
 REACHED_DISTANCE = 0.5
 REACHED_SPEED = 0.5
@@ -51,7 +53,8 @@ def generate(
         zip(config.routes, np.random.SeedSequence(seed).spawn(len(config.routes)), strict=True)
     ):
         rng = np.random.default_rng(stream)
-        logs += [_drive(environment, config, route, rng) for _ in range(route.repeats)]
+        drivers = islice(cycle(config.drivers), route.repeats)
+        logs += [_drive(environment, config, route, rng, driver) for driver in drivers]
         owners += [index] * route.repeats
 
     states, actions, rewards = (np.concatenate(column) for column in zip(*logs, strict=True))
@@ -102,7 +105,12 @@ def direct_controller_return(
 
 
 def _drive(
-    environment: "PointMaze", config: StitchConfig, route: Route, rng: np.random.Generator, aim_at_target: bool = False
+    environment: "PointMaze",
+    config: StitchConfig,
+    route: Route,
+    rng: np.random.Generator,
+    driver: Driver = USUAL,
+    aim_at_target: bool = False,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """One episode: (states [steps + 1, 4], actions [steps, 2], rewards [steps]), all float64."""
     states = np.empty((config.steps + 1, 4))
@@ -111,7 +119,7 @@ def _drive(
     start = config.maze.start if route.start is None else route.start
     environment.reset(seed=int(rng.integers(ENVIRONMENT_SEEDS)), options={"start": start})
     state = states[0] = environment.state
-    controller = WaypointController(config.maze, rng)
+    controller = WaypointController(config.maze, rng, driver.gain, driver.damping)
     current, wandering = 0, False
     goal = environment.target if aim_at_target else _noisy_goal(config.maze, route.goals[0], rng)
     for step in range(config.steps):
@@ -122,7 +130,13 @@ def _drive(
                 goal = _noisy_goal(config.maze, route.goals[current], rng)
             elif route.after == "random":
                 wandering = True
-        actions[step] = action = rng.uniform(-1.0, 1.0, 2).tolist() if wandering else controller.act(state, goal)
+        if wandering:
+            action = rng.uniform(-1.0, 1.0, 2)
+        elif driver.noise:
+            action = np.clip(controller.act(state, goal) + driver.noise * rng.standard_normal(2), -1.0, 1.0)
+        else:
+            action = controller.act(state, goal)
+        actions[step] = action
         _, rewards[step], _, _, _ = environment.step(action)
         state = states[step + 1] = environment.state
     return states, actions, rewards
