@@ -11,6 +11,7 @@ from pathlib import Path
 
 import jax
 import pytest
+from tools import drawn
 
 import odaf
 from odaf.cli.dispatch import find_command, main
@@ -168,3 +169,10 @@ def test_the_maze_on_the_page_can_be_recorded():
     (_, text), *_ = blocks(ROOT / "docs" / "how-to" / "record-data.md", "json")
     config = stitch_data.StitchConfig.from_dict(json.loads(text))
     assert sum(route.repeats for route in config.routes) == 200
+
+
+def test_parts_that_studies_draw_are_what_the_ledgers_say() -> None:
+    assert len(drawn.pages()) >= 2
+    for page in drawn.pages():
+        text = page.read_text(encoding="utf-8")
+        assert drawn.drawn(text) == text, f"{page}: draw it again with `python -m tools.drawn`"

@@ -13,6 +13,7 @@ from odaf.studies.executor import Here
 from odaf.studies.registry import STUDIES
 
 RESULTS = Path(__file__).parents[2] / "results"
+JOBS = str(len(STUDIES["pointmaze"].jobs()))
 
 
 @pytest.fixture(autouse=True)
@@ -48,19 +49,19 @@ def test_the_list_says_what_is_held_and_what_it_costs(tmp_path: Path, capsys: py
     held.write_text(json.dumps(record))
     assert main(["reproduce", "--list"]) == 0
     out = capsys.readouterr().out
-    assert rows(out)["pointmaze"][1:5] == ["1", "of", "44", "1"]
+    assert rows(out)["pointmaze"][1:5] == ["1", "of", JOBS, "1"]
     assert rows(out)["outcome"][1:5] == ["0", "of", "55", "0"]
     assert "results/pointmaze/stitch-odaf-seed1-20000: learner.discount was 0.5, is 0.99" in out
 
     assert main(["reproduce", "pointmaze", "--list"]) == 0
     out = capsys.readouterr().out
-    assert "1  the stitching maze" in out and rows(out)["in all"][2:6] == ["1", "of", "44", "1"]
-    assert main(["reproduce", "pointmaze", "--list", "--only", "odaf-return_steps-5", "--phase", "3"]) == 0
+    assert "1  the stitching maze, two seeds" in out and rows(out)["in all"][2:6] == ["1", "of", JOBS, "1"]
+    assert main(["reproduce", "pointmaze", "--list", "--only", "odaf-return_steps-5", "--phase", "14"]) == 0
     out = capsys.readouterr().out
     assert rows(out)["the part asked for"][4:7] == ["0", "of", "6"]
     assert "shaft-odaf-return_steps-5-seed0-20000, stitch-odaf-return_steps-5-seed1-20000" in out
     seconds = json.loads((RESULTS / "pointmaze" / "stitch-odaf-seed0-20000.json").read_text())["seconds"]["total"]
-    assert main(["reproduce", "pointmaze", "--list", "--only", "odaf", "--phase", "1"]) == 0
+    assert main(["reproduce", "pointmaze", "--list", "--only", "odaf", "--phase", "12"]) == 0
     assert f"{round(4 * seconds / 60)} min" in capsys.readouterr().out or seconds > 1350  # about the one that counts
 
 
@@ -85,8 +86,8 @@ def test_a_part_and_a_budget_reach_the_schedule(tmp_path: Path, monkeypatch: pyt
     ("words", "says"),
     [
         (["pointmase"], "there is no study 'pointmase'; did you mean pointmaze?"),
-        (["pointmaze", "--phase", "7"], "--phase 7: pointmaze has phases 1 to 6"),
-        (["pointmaze", "--only", "edac"], "--only edac: is not part of pointmaze; known are behaviour-cloning"),
+        (["pointmaze", "--phase", "18"], "--phase 18: pointmaze has phases 1 to 17"),
+        (["pointmaze", "--only", "edac"], "--only edac: is not part of pointmaze; known are bear, behaviour-cloning"),
         (["pointmaze", "--minutes", "0"], "--minutes 0: must be more than 0"),
         (["pointmaze", "--workers", "0"], "--workers 0: must be at least 1"),
         (["--list", "--phase", "1"], "--list: name a study first"),

@@ -11,6 +11,7 @@ from odaf.studies import ablation, attacks_table, claims, knocks_table, mixtures
 from odaf.studies.final_scores import finals_of, mean_over_tasks
 from odaf.studies.ledger import Ledger
 from odaf.studies.page import blocks, build
+from odaf.studies.pointmaze_methods import MBRCSL, STEPS
 from odaf.studies.registry import STUDIES
 from odaf.studies.robots import robot_form, robot_task
 from odaf.studies.task import Evaluation
@@ -242,8 +243,6 @@ def test_the_claims_are_those_that_the_ledgers_bear_out() -> None:
     assert {"ablation", "knocks", "theory", "antmaze", "cost"} < set(found) and len(found) == 10
     assert {each.verdict for each in found.values()} <= {"held", "not held", "not decided"}
     assert found["antmaze"].reasons == (claims.NO_STUDY,)
-    planned = any(getattr(job.do, "preset", None) == "mbrcsl" for job in STUDIES["pointmaze"].jobs())
-    assert planned or "no mbrcsl yet" in found["cost"].reasons[0]  # a command that cannot decide says so
     assert found["stitching"].reasons[0].startswith("odaf-paper over the best logged return in the stitching maze")
     assert written["stitching"]["ours"]["verdict"] == "held"
     theory = found["theory"]
@@ -259,13 +258,30 @@ def test_a_maze_policy_that_diverged_earned_nothing() -> None:
     def one(seed: int, earned: float | None) -> dict[str, Any]:
         final = None if earned is None else {"mean_return": earned}
         return {
-            "maze": "stitch", "method": "odaf-paper", "steps": claims.MAZE_STEPS, "seed": seed, "final": final,
-            "data": {"best_return": 70.0}, "seconds": {"total": 9.0},
+            "maze": "stitch", "method": "odaf-paper", "preset": "odaf-paper", "changes": {}, "steps": STEPS,
+            "seed": seed, "final": final, "data": {"best_return": 70.0}, "seconds": {"total": 9.0},
         }  # fmt: skip
 
     assert claims.stitching([one(0, 110.0), one(1, 112.0)]).verdict == "held"
     found = claims.stitching([one(0, 110.0), one(1, 112.0), one(2, None)])
     assert found.verdict == "not decided" and found.seeds == 3
+
+
+def test_cost_is_decided_by_what_the_stitching_study_plans() -> None:
+    records = []
+    for job in STUDIES["pointmaze"].jobs():
+        work = job.do
+        if isinstance(work, Training) and work.preset in (MBRCSL, "odaf-paper") and work.seed < 2:
+            seconds = {MBRCSL: 900.0, "odaf-paper": 500.0}[work.preset] + 10.0 * work.seed
+            records.append(
+                {"maze": work.task.name, **dict(work.notes), "method": work.method, "preset": work.preset,
+                 "changes": {}, "steps": work.steps, "seed": work.seed, "final": {"mean_return": 80.0 + work.seed},
+                 "data": {"best_return": 70.0}, "seconds": {"total": seconds}}
+            )  # fmt: skip
+    found = claims.cost(records)
+    assert found.verdict == "held" and found.seeds == 2 and "mbrcsl-pointmaze over odaf-paper" in found.part
+    assert claims.cost([one for one in records if one["preset"] != MBRCSL]).verdict == "not decided"
+    assert claims.cost([{**one, "lanes": 4} for one in records]).verdict == "not decided"  # they share their time
 
 
 def test_without_records_nothing_is_decided(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

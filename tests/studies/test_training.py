@@ -19,7 +19,7 @@ from odaf.studies.ledger import Ledger
 from odaf.studies.logs import MazeLog, RecordedLog
 from odaf.studies.news import Display
 from odaf.studies.perform import perform
-from odaf.studies.pointmaze import figure, table
+from odaf.studies.pointmaze_first import figure, table
 from odaf.studies.registry import STUDIES
 from odaf.studies.task import Evaluation, Task
 from odaf.studies.training import Training, phases_of
@@ -35,7 +35,7 @@ HOPPER = Task(
 
 
 def cloning(task: Task, seed: int, steps: int) -> Training:
-    return Training("behaviour-cloning", task, seed, steps, checkpoint_every=2)
+    return Training("behaviour-cloning", task, seed, steps, checkpoint_every=2, paths=1 if task is MAZE else 0)
 
 
 def measure(runs: list[list[Training]], out: Path, work: Path) -> Ledger:
@@ -61,6 +61,8 @@ def test_records_in_a_maze_and_a_longer_run(tmp_path: Path) -> None:
     assert record["data"]["origin"] == "locally generated data"
     assert [evaluation["step"] for evaluation in record["evaluations"]] == [2, 4]
     assert str(tmp_path) not in json.dumps(record)  # a ledger names no folder of the machine
+    (path,) = record["paths"]["places"]
+    assert len(path.split()) == 51 and path.split()[0].count(",") == 1 and len(record["paths"]["stitched"]) == 1
     assert read(out / f"{longer.name}.json")["final"]["step"] == 6
     assert longer.directory(work) == short.directory(work)
     assert (out / "figure.png").read_bytes().startswith(b"\x89PNG")

@@ -82,6 +82,7 @@ def run(arguments: list[str]) -> None:
     if options.workers < 1:
         raise ConfigError(f"--workers {options.workers}: must be at least 1")
     study = _on_files(STUDIES[options.study], options.data)
+    study = study.among(_places(study, options)[0].parent)
     if options.page is not None:
         return _draw(study, options, options.page)
     return _list_one(study, options) if options.list else _measure(study, options)
@@ -184,8 +185,9 @@ def _list_all(options: ReproduceOptions) -> None:
             "`odaf reproduce pointmaze --list --out DIR`"
         )
     costs, rows, stale_records = known_costs(STUDIES.values(), Path("results")), [], []
-    for study in STUDIES.values():
-        out, work = _places(study, options)
+    for named in STUDIES.values():
+        out, work = _places(named, options)
+        study = named.among(out.parent)
         ledger = Ledger(study, out)
         standings = [ledger.standing(job) for job in study.jobs()]
         rows.append(holding(study.name, standings, costs, work))
@@ -240,7 +242,7 @@ def _costs(study: "Study", ledger: Any) -> Any:
 
     measured = records_of(ledger)
     for other in STUDIES.values():
-        ledger_there = type(ledger)(other, Path("results") / other.name)
+        ledger_there = type(ledger)(other.among(Path("results")), Path("results") / other.name)
         if ledger_there.out.resolve() != ledger.out.resolve():
             measured = records_of(ledger_there) + measured  # this ledger's own come last, and count
     return Costs(measured)

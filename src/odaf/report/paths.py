@@ -53,7 +53,7 @@ def learned_paths(run: RunRecord) -> Trajectories | None:
     flags = [arrays.get("stitched") for arrays in recorded]
     known = [np.asarray(flag, bool) for flag in flags if flag is not None]
     return Trajectories(
-        _stacked([arrays["observations"][:, :, :2] for arrays in recorded]),
+        stacked([arrays["observations"][:, :, :2] for arrays in recorded]),
         np.concatenate(known) if len(known) == len(recorded) else None,
     )
 
@@ -74,7 +74,8 @@ def _plane(observations: np.ndarray | None) -> bool:
     return observations is not None and observations.ndim == 3 and observations.shape[2] >= 2 and len(observations) > 0
 
 
-def _stacked(paths: Sequence[np.ndarray]) -> np.ndarray:
+def stacked(paths: Sequence[np.ndarray]) -> np.ndarray:
+    """[episodes, time, 2] float64 of sets of paths; those that end sooner are filled up with NaN."""
     longest = max(path.shape[1] for path in paths)
     padded = [
         np.pad(path.astype(np.float64), ((0, 0), (0, longest - path.shape[1]), (0, 0)), constant_values=np.nan)

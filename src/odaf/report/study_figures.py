@@ -13,6 +13,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from odaf.report.layout import Layout
+    from odaf.report.quantities import Trajectories
+
 
 @dataclass(frozen=True)
 class Bar:
@@ -196,5 +199,51 @@ def clouds_figure(panels: Mapping[str, Cloud], out: Path, title: str, note: str,
         axes.set_title(fitted(heading, 72 * 3.0, 9), fontsize=9, color=palette.ink, parse_math=False)
         for text in axes.legend(fontsize=6.5, frameon=False, markerscale=3).get_texts():
             text.set_parse_math(False)
+    _words(figure, title, note)
+    return write_figure(figure, out)
+
+
+@dataclass(frozen=True)
+class Paths:
+    """Paths of a policy in a maze, over logged ones, and what is said of them."""
+
+    layout: "Layout"
+    learned: "Trajectories"
+    logged: "Trajectories"
+    said: str
+
+
+def paths_figure(
+    rows: Mapping[str, Sequence[Paths | None]], columns: Sequence[str], out: Path, title: str, note: str
+) -> Path:
+    """Writes a PNG of mazes with paths, a row for each policy and a column for each maze.
+
+    Args:
+        rows: by name of the policy, a panel for every column; None stays empty.
+        columns: headings.
+        out: the file to write; its folder is made when missing.
+        title: written above.
+        note: written below in small print.
+
+    Returns:
+        `out`.
+
+    Raises:
+        ConfigError: the `report` extra is not installed.
+    """
+    check_extra()
+    from odaf.report import drawing
+    from odaf.report.figures import write_figure
+    from odaf.report.lettering import fitted
+
+    figure, every = _grid(len(rows) * len(columns), len(columns), (2.1, 1.75))
+    panels = [(name, place, panel) for name, row in rows.items() for place, panel in enumerate(row)]
+    for axes, (name, place, panel) in zip(every, panels, strict=True):
+        if panel is None:
+            axes.set_axis_off()
+            continue
+        drawing.draw_maze(axes, drawing.LIGHT, panel.layout, panel.learned, panel.logged)
+        heading = fitted(f"{name}\n{columns[place]}: {panel.said}", 72 * 2.0, 6.5)
+        axes.set_title(heading, fontsize=6.5, color=drawing.LIGHT.ink, parse_math=False)
     _words(figure, title, note)
     return write_figure(figure, out)

@@ -10,11 +10,13 @@ from pathlib import Path
 from odaf.data.writing import write_atomically
 from odaf.studies.job import Record
 from odaf.studies.ledger import Ledger
+from odaf.studies.pointmaze_methods import MBRCSL, STEPS, STEPS_OF
+from odaf.studies.pointmaze_table import of_table
 from odaf.studies.registry import STUDIES
+from odaf.studies.tables import grouped
 from odaf.studies.theory import verdicts as theory_verdicts
 from odaf.studies.verdict import Part, Verdict, decide
 
-MAZE_STEPS = 20_000
 Decision = Callable[[Sequence[Record]], Verdict]
 NO_STUDY = "no study of this package measures it yet"
 
@@ -53,12 +55,9 @@ def cost(records: Sequence[Record], method: str = "odaf-paper") -> Verdict:
             for one in _maze(records, name)
             if one.get("lanes", 1) == 1 and one["final"] is not None
         )
-        for name in (method, "mbrcsl")
+        for name in (method, MBRCSL)
     )
-    planned = any(getattr(job.do, "preset", None) == "mbrcsl" for job in STUDIES["pointmaze"].jobs())
-    void = "" if planned else "the plan of the study has no mbrcsl yet, so that its command does not decide it"
-    name = f"seconds in the stitching maze, mbrcsl over {method}"
-    return decide([Part(name, theirs, ours, paired=False, void=void)])
+    return decide([Part(f"seconds in the stitching maze, {MBRCSL} over {method}", theirs, ours, paired=False)])
 
 
 def theory(records: Sequence[Record]) -> Verdict:
@@ -123,7 +122,7 @@ def decided(results: Path) -> dict[str, Answer]:
             continue
         study = STUDIES[question.study]
         if study.name not in records:
-            records[study.name] = Ledger(study, results / study.name).held()
+            records[study.name] = Ledger(study.among(results), results / study.name).held()
         claim = study.claim
         decide_by = question.verdict or (None if claim is None else claim.verdict)
         ours = question.ours or (None if claim is None else claim.ours)
@@ -202,6 +201,12 @@ def _undecided(test: str, reason: str) -> Verdict:
     return Verdict("not decided", test, 0, None, None, "", (reason,), {})
 
 
-def _maze(records: Sequence[Record], method: str) -> list[Record]:
-    own = [one for one in records if (one.get("maze"), one.get("method")) == ("stitch", method)]
-    return [one for one in own if one["steps"] == MAZE_STEPS]
+def _maze(records: Sequence[Record], preset: str) -> list[Record]:
+    """A method's trainings in the stitching maze, on the log of the tables where two seeds are there, else on that of
+    the first part of the study. A rival's settings are those that it is trained with most often."""
+    own = [one for one in records if one.get("preset") == preset and one["steps"] == STEPS_OF.get(preset, STEPS)]
+    own = [one for one in own if "measure" not in one]
+    table = [one for one in of_table(own) if one["map"] == "stitch"]
+    first = [one for one in own if one["maze"] == "stitch" and not one["changes"]]
+    same = max(grouped(table, lambda one: one["method"]).values(), key=len, default=[])
+    return same if len(same) > 1 else first

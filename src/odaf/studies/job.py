@@ -169,6 +169,7 @@ class Study:
         figures: for each picture, what draws it to a path from the same records.
         claim: of the paper's that it decides, for those that decide one.
         on_files: the same study on public files in a directory, for those that can be measured on such.
+        beside: the same study as the ledgers of others in a folder have it, for those whose plan goes by their records.
     """
 
     name: str
@@ -178,6 +179,11 @@ class Study:
     figures: Mapping[str, Callable[[Sequence[Record], Path], object]] = field(default_factory=dict)
     claim: "Claim | None" = None
     on_files: "Callable[[Path], Study] | None" = None
+    beside: "Callable[[Path], Study] | None" = None
+
+    def among(self, results: Path) -> "Study":
+        """Itself, with the plan that the ledgers in `results` ask for."""
+        return self if self.beside is None else self.beside(results)
 
     def jobs(self) -> list[Job]:
         """Every job in the order of the plan.

@@ -34,7 +34,7 @@ def known_costs(studies: Iterable[Study], results: Path) -> Costs:
     """Estimates from whatever the ledgers under `results` have measured, each in the folder of its study's name."""
     measured: list[tuple[Job, Record]] = []
     for study in studies:
-        measured += records_of(Ledger(study, results / study.name))
+        measured += records_of(Ledger(study.among(results), results / study.name))
     return Costs(measured)
 
 

@@ -27,27 +27,37 @@ def origin_of(data: Mapping[str, Any]) -> str:
 class MazeLog(Log):
     """Poor demonstrations in a maze, each cell of the good path visited, the path itself never driven.
 
+    A log of another seed than 0, of several drivers, or of a part of the episodes says so in its name, as
+    `stitch-log2-broad-10`.
+
     Attributes:
         maze: name in `stitch_config.CONFIGS`.
         seed: of the drivers.
         repeats: episodes of each route in place of the configuration's, for a small log; None keeps those.
         episodes: starts over which the scripted drivers of `figures` are averaged.
+        broad: whether nine drivers take turns (`stitch_config.BROAD`) in place of one.
+        percent: share of each route's episodes, the first ones.
     """
 
     maze: str
     seed: int = 0
     repeats: int | None = None
     episodes: int = 50
+    broad: bool = False
+    percent: int = 100
 
     @property
     def name(self) -> str:
-        return self.maze
+        parts = [f"log{self.seed}" if self.seed else "", "broad" if self.broad else ""]
+        parts.append("" if self.percent == 100 else str(self.percent))
+        return "-".join([self.maze, *(part for part in parts if part)])
 
     def config(self) -> "StitchConfig":
         """What is driven."""
-        from odaf.environments.stitch_config import CONFIGS
+        from odaf.environments.stitch_config import BROAD, CONFIGS
 
-        return CONFIGS[self.maze] if self.repeats is None else CONFIGS[self.maze].with_repeats(self.repeats)
+        config = CONFIGS[self.maze] if self.repeats is None else CONFIGS[self.maze].with_repeats(self.repeats)
+        return (config.driven_by(BROAD) if self.broad else config).part(self.percent)
 
     def recipe(self) -> dict[str, Any]:
         from odaf.training.files import plain

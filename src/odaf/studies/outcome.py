@@ -5,14 +5,13 @@ The stitching maze, ensembles of two, four and ten critics, three weights of the
 
 from collections.abc import Callable, Sequence
 from operator import itemgetter
-from typing import Any
 
 from odaf.studies.first_form import first_form
 from odaf.studies.job import Phase, Record, Study
 from odaf.studies.locomotion import FINAL_EPISODES, HOPPER, locomotion_task
 from odaf.studies.logs import LOCAL, origin_of
-from odaf.studies.pointmaze import EPISODES, maze_task
-from odaf.studies.tables import grouped
+from odaf.studies.pointmaze_first import EPISODES, maze_task
+from odaf.studies.tables import grouped, interval
 from odaf.studies.task import Task
 from odaf.studies.training import Training, phases_of
 
@@ -129,7 +128,7 @@ def _summary(results: dict[int, float]) -> str:
     from odaf.evaluation.statistics import t_interval
 
     estimate = t_interval(list(results.values()))
-    return f"{estimate.mean:.1f} | {_interval(estimate, '.1f')} | {min(results.values()):.1f}"
+    return f"{estimate.mean:.1f} | {interval(estimate)} | {min(results.values()):.1f}"
 
 
 def _gain(results: dict[int, float], base: dict[int, float]) -> str:
@@ -139,11 +138,7 @@ def _gain(results: dict[int, float], base: dict[int, float]) -> str:
     if not seeds:
         return "| | | |"
     difference = paired_difference([results[seed] for seed in seeds], [base[seed] for seed in seeds])
-    return f"| {difference.mean:+.1f} | {_interval(difference, '+.1f')} | {len(seeds)} |"
-
-
-def _interval(estimate: Any, form: str) -> str:
-    return f"[{estimate.low:{form}}, {estimate.high:{form}}]" if estimate.count > 1 else "one seed"
+    return f"| {difference.mean:+.1f} | {interval(difference, '+')} | {len(seeds)} |"
 
 
 STUDY = Study(

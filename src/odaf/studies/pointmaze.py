@@ -1,142 +1,95 @@
-"""The stitching study: who finds the path that no demonstration took, and does it last?"""
+"""The stitching study: which methods find the path that no demonstration took, which copy, and where outcomes pay.
+
+The logs of the tables have another seed than the one that settings were tried on. A rival has the setting that did best
+in `odaf reproduce pointmaze-search`, by that study's ledger in the folder where this one's lies; its preset where there
+is none. The first part of the study, on the other log, comes last: its records are there.
+"""
 
 from collections.abc import Sequence
-from operator import itemgetter
+from functools import partial
 from pathlib import Path
-from typing import Any
+from types import MappingProxyType
 
-import numpy as np
-
-from odaf.studies.first_form import COMMON, first_form
+from odaf.studies import pointmaze_first, pointmaze_outcomes, pointmaze_table
 from odaf.studies.job import Phase, Record, Study
-from odaf.studies.logs import LOCAL, MazeLog
-from odaf.studies.tables import grouped
-from odaf.studies.task import Evaluation, Task
+from odaf.studies.pointmaze_methods import (
+    CHEAP,
+    COSTLY,
+    MAZES,
+    MBRCSL,
+    OWN,
+    PAPER,
+    Changes,
+    Winners,
+    maze_task,
+    training,
+)
+from odaf.studies.pointmaze_search import held_winners
 from odaf.studies.training import Training, phases_of
 
-EPISODES = 50
+FIRST_SEEDS, MORE_SEEDS = (0, 1), (2, 3)
+NOTHING: Winners = MappingProxyType({})
 
 
-def maze_task(maze: str) -> Task:
-    """Finding the good path of a maze from the log of drivers who never took it."""
-    return Task(
-        MazeLog(maze, episodes=EPISODES), Evaluation(every=5_000, episodes=EPISODES), field="maze", common=COMMON
-    )
+def plan(winners: Winners = NOTHING) -> list[Phase]:
+    """The stitching maze with two seeds, cheap methods first; then the other mazes, and more seeds, for lanes."""
 
+    def settings(presets: Sequence[str]) -> list[tuple[str, Changes]]:
+        return [(preset, winners.get(preset, ())) for preset in presets]
 
-def plan() -> list[Phase]:
-    """Our default beside its base and cloning first, what is costly last."""
-
-    def runs(preset: str, maze: str, seeds: int, steps: int, **changes: Any) -> list[Training]:
-        task, form = maze_task(maze), first_form(preset)
-        return [Training(preset, task, seed, steps, tuple(changes.items()), form) for seed in range(seeds)]
-
-    return phases_of(
-        (
-            "the stitching maze: our default, its base without the outcome term, cloning",
-            [
-                *runs("odaf", "stitch", 4, 20_000),
-                *runs("odaf-without-outcome", "stitch", 4, 20_000),
-                *runs("behaviour-cloning", "stitch", 4, 20_000),
-            ],
-        ),
-        (
-            "two other mazes: our default, cloning",
-            [
-                *runs("odaf", "shaft", 2, 20_000),
-                *runs("behaviour-cloning", "shaft", 2, 20_000),
-                *runs("odaf", "crossroads", 2, 20_000),
-                *runs("behaviour-cloning", "crossroads", 2, 20_000),
-            ],
-        ),
-        (
-            "targets over three and five steps",
-            [
-                *runs("odaf", "stitch", 4, 20_000, return_steps=3),
-                *runs("odaf", "stitch", 4, 20_000, return_steps=5),
-                *runs("odaf", "shaft", 2, 20_000, return_steps=3),
-                *runs("odaf", "shaft", 2, 20_000, return_steps=5),
-            ],
-        ),
-        ("rounded products", runs("odaf", "stitch", 4, 20_000, products="bfloat16")),
-        (
-            "does it last? longer runs of the first phase",
-            [*runs("odaf", "stitch", 2, 50_000), *runs("odaf-without-outcome", "stitch", 2, 50_000)],
-        ),
-        ("as printed", [*runs("odaf-paper", "stitch", 2, 10_000), *runs("odaf-paper", "stitch", 2, 20_000)]),
-    )
-
-
-def table(records: Sequence[Record]) -> str:
-    """Markdown table: a row for every maze, method and length, over its seeds."""
-    from odaf.evaluation.statistics import t_interval
-
-    lines = [
-        f"Scores on {LOCAL}; last checkpoint, deterministic policy, {EPISODES} episodes a seed. Intervals are 95 %",
-        "Student intervals over seeds. Made by `odaf reproduce pointmaze` from the records in this folder.",
-        "",
-        "| maze | method | updates | seeds | return | 95 % interval | worst seed | stitched | success | updates/s |",
-        "|---|---|---|---|---|---|---|---|---|---|",
-    ]
-    for (maze, method, steps), group in grouped(records, itemgetter("maze", "method", "steps")).items():
-        returns = [record["final"]["mean_return"] for record in group]
-        estimate = t_interval(returns)
-        interval = f"[{estimate.low:.1f}, {estimate.high:.1f}]" if len(group) > 1 else "one seed"
-        stitched, success, speed = (
-            sum(values) / len(group)
-            for values in (
-                [record["final"]["stitched_rate"] for record in group],
-                [record["final"]["success_rate"] for record in group],
-                [record["updates_per_second"] for record in group],
-            )
-        )
-        lines.append(
-            f"| {maze} | {method} | {steps:,} | {len(group)} | {estimate.mean:.1f} | {interval} | {min(returns):.1f} "
-            f"| {stitched:.2f} | {success:.2f} | {speed:.1f} |"
-        )
-    lines.append("")
-    for maze, data in sorted({record["maze"]: record["data"] for record in records}.items()):
-        lines.append(
-            f"- `{maze}` data: {data['transitions']:,} transitions, mean logged return {data['mean_return']:.1f}, "
-            f"best {data['best_return']:.1f}; the scripted driver sent straight to the goal's cell earns "
-            f"{data['direct_return']:.1f}, to the hidden target {data['ceiling']:.1f} ({LOCAL})"
-        )
-    return "\n".join(lines) + "\n"
-
-
-def figure(records: Sequence[Record], out: Path) -> None:
-    """Learning curves of every method in the stitching maze, the longest run of each seed, drawn to `out`."""
-    from odaf.report.figures import learning_curves_figure
-    from odaf.report.quantities import Curve
-
-    longest: dict[tuple[str, int], Record] = {}
-    for record in records:
-        if record["maze"] != "stitch":
-            continue
-        key = record["method"], record["seed"]
-        if key not in longest or record["steps"] > longest[key]["steps"]:
-            longest[key] = record
-    if not longest:
-        return
-    curves = []
-    for index, method in enumerate(sorted({method for method, _ in longest})):
-        runs = [
-            {evaluation["step"]: evaluation["mean_return"] for evaluation in record["evaluations"]}
-            for (name, _), record in sorted(longest.items())
-            if name == method
+    def runs(methods: Sequence[tuple[str, Changes]], mazes: Sequence[str], seeds: Sequence[int]) -> list[Training]:
+        return [
+            training(preset, changes, maze_task(maze), seed)
+            for seed in seeds
+            for maze in mazes
+            for preset, changes in methods
         ]
-        steps = sorted(set().union(*runs))
-        values = np.array([[run.get(step, np.nan) for step in steps] for run in runs])
-        curves.append(Curve(method, np.array(steps), values, None, index))
-    data = next(iter(longest.values()))["data"]
-    references = [("best logged", data["best_return"]), ("mean logged", data["mean_return"])]
-    learning_curves_figure(curves, out, references, title="Stitching maze", note=LOCAL)
+
+    cheap, costly = [*settings(CHEAP), *OWN], settings(COSTLY)
+    last = [*settings((MBRCSL,)), (PAPER, ())]
+    replaced = [(preset, ()) for preset, changes in winners.items() if changes]
+    table = phases_of(
+        ("the stitching maze, two seeds: cheap methods, our default and its base", runs(cheap, MAZES[:1], FIRST_SEEDS)),
+        ("the stitching maze, two seeds: costly rivals", runs(costly, MAZES[:1], FIRST_SEEDS)),
+        ("the stitching maze, two seeds: MBRCSL, ODAF as printed", runs(last, MAZES[:1], FIRST_SEEDS)),
+        ("three other mazes, two seeds: cheap methods, our default and its base", runs(cheap, MAZES[1:], FIRST_SEEDS)),
+        ("three other mazes, two seeds: costly rivals", runs(costly, MAZES[1:], FIRST_SEEDS)),
+        ("three other mazes, two seeds: MBRCSL, ODAF as printed", runs(last, MAZES[1:], FIRST_SEEDS)),
+        ("four mazes, two more seeds (lanes): all of these", runs([*cheap, *costly, *last], MAZES, MORE_SEEDS)),
+        ("presets beside the searched settings, the stitching maze", runs(replaced, MAZES[:1], FIRST_SEEDS)),
+    )
+    outcomes = pointmaze_outcomes.phases(winners, table)
+    first = [Phase(f"the first part, {phase.title}", phase.jobs) for phase in pointmaze_first.plan()]
+    return [*table, *outcomes, *first]
 
 
-STUDY = Study(
-    "pointmaze",
-    "stitching in a maze: our default, its base without the outcome term, the paper's form, cloning",
-    plan,
-    {"table.md": table},
-    {"figure.png": figure},
-)
+def study(winners: Winners = NOTHING) -> Study:
+    """The study once the search has these winners."""
+    return Study(
+        "pointmaze",
+        "stitching in four mazes: every method, and where looking at outcomes pays",
+        partial(plan, winners),
+        {
+            "table.md": partial(pointmaze_table.table, winners),
+            "outcomes.md": partial(pointmaze_outcomes.table, winners),
+            "outcomes.json": partial(pointmaze_outcomes.summary, winners),
+            "first.md": _first,
+        },
+        {"figure.png": _first_figure, "paths.png": pointmaze_table.figure},
+        beside=lambda results: study(held_winners(results)),
+    )
+
+
+def _of_first(records: Sequence[Record]) -> list[Record]:
+    return [one for one in records if "map" not in one]
+
+
+def _first(records: Sequence[Record]) -> str:
+    return pointmaze_first.table(_of_first(records))
+
+
+def _first_figure(records: Sequence[Record], out: Path) -> None:
+    pointmaze_first.figure(_of_first(records), out)
+
+
+STUDY = study()

@@ -13,6 +13,7 @@ from odaf.studies.mujoco import STUDY as MUJOCO
 from odaf.studies.outcome import STUDY as OUTCOME
 from odaf.studies.plant import STUDY as PLANT
 from odaf.studies.pointmaze import STUDY as POINTMAZE
+from odaf.studies.pointmaze_search import STUDY as POINTMAZE_SEARCH
 from odaf.studies.rivals import STUDY as RIVALS
 from odaf.studies.scoreboard import STUDY as SCOREBOARD
 from odaf.studies.selection import STUDY as SELECTION
@@ -24,6 +25,6 @@ STUDIES: dict[str, Study] = {
     study.name: study
     for study in (
         *(POINTMAZE, OUTCOME, LOCOMOTION, RIVALS, SCOREBOARD, GENERATORS, ESTIMATES, SELECTION, THEORY, GUARD, PLANT),
-        *(VALIDATION, ATTACKS, KNOCKS, ABLATION, MIXTURES, MUJOCO, SWEEPS),
+        *(VALIDATION, ATTACKS, KNOCKS, ABLATION, MIXTURES, MUJOCO, SWEEPS, POINTMAZE_SEARCH),
     )
 }

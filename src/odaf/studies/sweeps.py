@@ -5,12 +5,11 @@ import statistics
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from odaf.studies.final_scores import finals_of, pairs
 from odaf.studies.job import Phase, Record, Study
 from odaf.studies.robots import Changes, robot_task
-from odaf.studies.tables import grouped
+from odaf.studies.tables import grouped, interval
 from odaf.studies.task import Evaluation
 from odaf.studies.training import Training, phases_of
 
@@ -69,10 +68,10 @@ def table(records: Sequence[Record]) -> str:
         for (sweep, method), runs in grouped(group, lambda one: (_order(one["sweep"]), one["method"])).items():
             scores = finals[task][method]
             found = t_interval(list(scores.values()))
-            cells = [f"{found.mean:.1f}", _interval(found)]
+            cells = [f"{found.mean:.1f}", interval(found)]
             first, second = pairs(scores, base)
             gain = paired_difference(list(first), list(second)) if first and method != PRESET else None
-            cells += ["", ""] if gain is None else [f"{gain.mean:+.1f}", _interval(gain, "+")]
+            cells += ["", ""] if gain is None else [f"{gain.mean:+.1f}", interval(gain, "+")]
             changed = ", ".join(f"{name} {value}" for name, value in runs[0]["changes"].items()) or "as it is"
             name = "" if sweep < 0 else list(SWEEPS)[sweep]
             lines.append(f"| {name} | {changed} | {len(scores)} | {' | '.join(cells)} |")
@@ -81,10 +80,6 @@ def table(records: Sequence[Record]) -> str:
 
 def _order(sweep: str) -> int:
     return list(SWEEPS).index(sweep) if sweep in SWEEPS else -1
-
-
-def _interval(found: Any, sign: str = "") -> str:
-    return f"[{found.low:{sign}.1f}, {found.high:{sign}.1f}]" if found.count > 1 else "one seed"
 
 
 def summary(records: Sequence[Record]) -> str:

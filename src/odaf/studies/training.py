@@ -32,6 +32,7 @@ class Training(Work):
             part of the method's name.
         notes: further entries of the record, for a study's tables.
         checkpoint_every: updates between two checkpoints; a run that is stopped loses no more.
+        paths: episodes of the last evaluation whose paths in the plane the record keeps.
     """
 
     preset: str
@@ -43,6 +44,7 @@ class Training(Work):
     setting: str | None = None
     notes: tuple[tuple[str, Any], ...] = ()
     checkpoint_every: int = 5_000
+    paths: int = 0
 
     @property
     def method(self) -> str:
@@ -179,6 +181,8 @@ class Training(Work):
             "identity": {name: self.identity()[name] for name in ("learner_version", "evaluation")},
             "versions": {key: versions[key] for key in ("python", "versions", "device", "platform")},
         }
+        if self.paths and record["final"] is not None:
+            record["paths"] = _paths(run, self.seed, self.paths)
         if run.config.get("lanes", 1) > 1:
             record["lanes"] = run.config["lanes"]
         return self._normalised(record, run) if self.task.score == "normalised_score" else record
@@ -259,6 +263,20 @@ def _evaluation(line: Mapping[str, Any]) -> dict[str, Any]:
         "mean_return": line["evaluation/return_mean"],
         "std_return": line["evaluation/return_std"],
         **{name.removeprefix("evaluation/"): value for name, value in rates.items()},
+    }
+
+
+def _paths(run: "Run", seed: int, count: int) -> dict[str, Any]:
+    """Of so many episodes of the last evaluation every fourth place, and whether they stitch: one text an episode, so
+    that a record stays short."""
+    recorded = run.files.episodes(seed)
+    if recorded is None:
+        return {"places": [], "stitched": []}
+    _, arrays = recorded
+    places = arrays["observations"][:count, ::4, :2].round(2)
+    return {
+        "places": [" ".join(f"{x:g},{y:g}" for x, y in path if x == x) for path in places.tolist()],
+        "stitched": [bool(flag) for flag in arrays["stitched"][:count]] if "stitched" in arrays else None,
     }
 
 
