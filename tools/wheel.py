@@ -59,6 +59,7 @@ refused = {
     "tensorboard": [*train, "--log-to", "tensorboard"],
     "wandb": [*train, "--log-to", "wandb"],
     "mlflow": [*train, "--log-to", "mlflow"],
+    "ray": ["reproduce", "theory", "--ray", "local"],
 }
 for extra, words in refused.items():
     with contextlib.redirect_stderr(io.StringIO()) as said:

@@ -1,5 +1,6 @@
 """`odaf reproduce`: the list, a part of a study, the budget, and what is refused."""
 
+import contextlib
 import json
 import os
 import shutil
@@ -81,6 +82,10 @@ def test_a_part_and_a_budget_reach_the_schedule(tmp_path: Path, monkeypatch: pyt
     assert calls[-1][0].out == Path("there") and calls[-1][2] == Path("runs/locomotion")
     assert len(calls[-1][1]) == len(STUDIES["locomotion"].jobs())
 
+    monkeypatch.setattr("odaf.studies.on_ray.joined", lambda address: contextlib.nullcontext(f"cluster at {address}"))
+    assert main(["reproduce", "locomotion", "--ray", "host:1", "--work", "here"]) == 0
+    assert calls[-1][2:4] == (tmp_path / "here", "cluster at host:1")  # a place that means the same elsewhere
+
 
 @pytest.mark.parametrize(
     ("words", "says"),
@@ -90,6 +95,8 @@ def test_a_part_and_a_budget_reach_the_schedule(tmp_path: Path, monkeypatch: pyt
         (["pointmaze", "--only", "edac"], "--only edac: is not part of pointmaze; known are bear, behaviour-cloning"),
         (["pointmaze", "--minutes", "0"], "--minutes 0: must be more than 0"),
         (["pointmaze", "--workers", "0"], "--workers 0: must be at least 1"),
+        (["pointmaze", "--ray", "local", "--workers", "2"], "--workers: with --ray there are as many jobs"),
+        (["pointmaze", "--ray", "auto", "--lanes"], "--lanes: trains in this process, and --ray on a cluster"),
         (["--list", "--phase", "1"], "--list: name a study first"),
         (["--minutes", "3"], "name a study first"),
     ],

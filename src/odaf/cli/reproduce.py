@@ -1,9 +1,11 @@
 """`odaf reproduce STUDY`: measure a whole study with one command that can be stopped and repeated."""
 
+import contextlib
 import dataclasses
 import difflib
 import time
 from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -16,6 +18,7 @@ from odaf.errors import ConfigError
 from odaf.studies.registry import STUDIES
 
 if TYPE_CHECKING:
+    from odaf.studies.executor import Executor
     from odaf.studies.job import Job, Study
     from odaf.studies.ledger import Ledger
     from odaf.studies.listing import Holding
@@ -38,6 +41,9 @@ class ReproduceOptions:
     """Stop after so many minutes, and do first what says most; see above."""
     workers: int = 1
     """Jobs at the same time, each in a process on cores of its own."""
+    ray: Annotated[str | None, tyro.conf.arg(metavar="ADDRESS")] = None
+    """Do the jobs on a Ray cluster, each on one of its cores: auto finds the one that was started on this machine,
+    HOST:PORT names a head, local starts one here. The machines share --work. Needs the extra `ray`."""
     only: Annotated[tuple[str, ...], tyro.conf.arg(metavar="WORD ...")] = ()
     """Measure only a part: methods, tasks and the like. Words of one kind widen the choice, of two kinds narrow it."""
     phase: Annotated[tuple[int, ...], tyro.conf.arg(metavar="NUMBER ...")] = ()
@@ -81,11 +87,26 @@ def run(arguments: list[str]) -> None:
         raise ConfigError(f"--minutes {options.minutes:g}: must be more than 0; leave it out to measure everything")
     if options.workers < 1:
         raise ConfigError(f"--workers {options.workers}: must be at least 1")
+    if options.ray is not None:
+        options = _for_cluster(options)
     study = _on_files(STUDIES[options.study], options.data)
     study = study.among(_places(study, options)[0].parent)
     if options.page is not None:
         return _draw(study, options, options.page)
     return _list_one(study, options) if options.list else _measure(study, options)
+
+
+def _for_cluster(options: ReproduceOptions) -> ReproduceOptions:
+    """The same, with directories that mean the same in processes that were begun elsewhere."""
+    if options.workers != 1:
+        raise ConfigError(
+            "--workers: with --ray there are as many jobs at the same time as the cluster has cores; leave it out"
+        )
+    if options.lanes:
+        raise ConfigError("--lanes: trains in this process, and --ray on a cluster; leave one of them out")
+    work = options.work or Path("runs") / options.study
+    data = None if options.data is None else options.data.absolute()
+    return dataclasses.replace(options, work=work.absolute(), data=data)
 
 
 def _on_files(study: "Study", data: Path | None) -> "Study":
@@ -109,7 +130,6 @@ def _draw(study: "Study", options: ReproduceOptions, page: Path) -> None:
 
 
 def _measure(study: "Study", options: ReproduceOptions) -> None:
-    from odaf.studies.executor import Here
     from odaf.studies.job import chosen
     from odaf.studies.lanes import at_its_end, keep_actors, on_processors
     from odaf.studies.ledger import Ledger
@@ -127,12 +147,12 @@ def _measure(study: "Study", options: ReproduceOptions) -> None:
     begun = time.monotonic()
 
     def measure(some: Sequence["Job"], minutes: float | None) -> None:
-        perform(ledger, some, work, Here(options.workers), Display(study.name), minutes=minutes, costs=costs)
+        perform(ledger, some, work, executor, Display(study.name), minutes=minutes, costs=costs)
 
     def left() -> float | None:
         return None if minutes is None else max(1e-3, minutes - (time.monotonic() - begun) / 60.0)
 
-    with repeatable():
+    with repeatable(), _executor(options) as executor:
         if options.lanes:
             in_time = _train_together(ledger, jobs, work, minutes)
             with on_processors():
@@ -148,6 +168,16 @@ def _measure(study: "Study", options: ReproduceOptions) -> None:
     print(f"The records are in {ledger.out}, drawn as {', '.join([*study.tables, *study.figures])}")
     if options.ledger is not None:
         print(f"Take them over with: odaf reproduce {study.name} --merge {options.ledger}")
+
+
+def _executor(options: ReproduceOptions) -> "AbstractContextManager[Executor]":
+    if options.ray is not None:
+        from odaf.studies.on_ray import joined
+
+        return joined(options.ray)
+    from odaf.studies.executor import Here
+
+    return contextlib.nullcontext(Here(options.workers))
 
 
 def _train_together(ledger: "Ledger", jobs: Sequence["Job"], work: Path, minutes: float | None) -> bool:

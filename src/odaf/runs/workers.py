@@ -1,5 +1,6 @@
 """Jobs side by side on one machine, each process on a core of its own."""
 
+import contextlib
 import multiprocessing
 import os
 import pickle
@@ -16,8 +17,8 @@ Job = TypeVar("Job")
 # How long news of a worker may wait to be heard.
 _SECONDS_BETWEEN_NEWS = 0.2
 
-# In a worker process: where `send` puts its news, and the event that asks it to stop.
-_news: Any = None
+# Where jobs are done: what `send` hands its news to, and the event that asks a worker process to stop.
+_tell: Callable[[Any], object] | None = None
 _stop: Any = None
 
 
@@ -104,8 +105,8 @@ def run_jobs(
 
 def send(news: Any) -> None:
     """From inside a job: hand something picklable and small to the `receive` of whoever runs the jobs."""
-    if _news is not None:
-        _news.put(news)
+    if _tell is not None:
+        _tell(news)
 
 
 def stopping() -> bool:
@@ -118,10 +119,19 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def _one_by_one(function: Any, jobs: Any, prepare: Any, receive: Any, then: Any) -> Iterator[tuple[Any, Any]]:
-    global _news
-    before, _news = _news, _Here(receive)
+@contextlib.contextmanager
+def telling(receive: Callable[[Any], object]) -> Iterator[None]:
+    """A block whose jobs hand to `receive` what they `send`."""
+    global _tell
+    before, _tell = _tell, receive
     try:
+        yield
+    finally:
+        _tell = before
+
+
+def _one_by_one(function: Any, jobs: Any, prepare: Any, receive: Any, then: Any) -> Iterator[tuple[Any, Any]]:
+    with telling(lambda news: _receive(news, receive)):
         if prepare is not None:
             prepare()
         waiting = deque(jobs)
@@ -130,18 +140,6 @@ def _one_by_one(function: Any, jobs: Any, prepare: Any, receive: Any, then: Any)
             result = function(job)
             waiting.extend(() if then is None else then(job, result))
             yield job, result
-    finally:
-        _news = before
-
-
-class _Here:
-    """A queue whose other end is in this process."""
-
-    def __init__(self, receive: Callable[[Any], object] | None):
-        self._receive = receive
-
-    def put(self, news: Any) -> None:
-        _receive(news, self._receive)
 
 
 def _receive(news: Any, receive: Callable[[Any], object] | None) -> None:
@@ -150,12 +148,12 @@ def _receive(news: Any, receive: Callable[[Any], object] | None) -> None:
 
 
 def _begin(leave: Any, numbers: Any, workers: int, cores: int | None, news: Any, stop: Any, pickled: bytes) -> None:
-    global _news, _stop
+    global _tell, _stop
     # Ctrl-C on a terminal reaches every process; the parent alone decides what it means.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     _bind(numbers, workers, cores)
     threading.Thread(target=_leave_with_parent, args=(leave,), daemon=True).start()
-    _news, _stop = news, stop
+    _tell, _stop = news.put, stop
     prepare = pickle.loads(pickled)  # our parent's own; what it imports starts its threads on our cores
     if prepare is not None:
         prepare()
@@ -167,8 +165,13 @@ def begin_beside(leave: Any) -> None:
     Must come before an array library is loaded. The process ends with its parent, as those of `run_jobs` do.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    os.environ |= {"NPROC": "1", "OMP_NUM_THREADS": "1", "JAX_PLATFORMS": "cpu"}
+    take_one_core()
     threading.Thread(target=_leave_with_parent, args=(leave,), daemon=True).start()
+
+
+def take_one_core() -> None:
+    """First in a process that others work beside: its array library counts on one core, and on no accelerator."""
+    os.environ |= {"NPROC": "1", "OMP_NUM_THREADS": "1", "JAX_PLATFORMS": "cpu"}
 
 
 def _leave_with_parent(leave: Any) -> None:
