@@ -11,7 +11,7 @@ export OMP_NUM_THREADS ?= 1
 
 WHEEL := dist/.tried
 
-.PHONY: help demo test test-all lint wheel checks format refusals bench docs clean
+.PHONY: help demo test test-all lint wheel checks format refusals drawn bench docs clean
 .DEFAULT_GOAL := help
 
 help: ## Say what each target does
@@ -57,6 +57,9 @@ format: $(STAMP) ## Rewrite files in the house style
 
 refusals: $(STAMP) ## Write the page of all refusals and their remedies from the code
 	$(BIN)/python -m tools.refusals
+
+drawn: $(STAMP) ## Put what the ledgers say now into the pages that have parts drawn by studies
+	$(BIN)/python -m tools.drawn
 
 bench: $(STAMP) ## Time the parts that matter; prints one figure a line
 	$(BIN)/python -m benchmarks

@@ -5,19 +5,23 @@ import re
 import shlex
 import shutil
 import subprocess
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 import jax
 import pytest
-from tools import drawn
 
 import odaf
 from odaf.cli.dispatch import find_command, main
 from odaf.environments import stitch_data
 
 ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT))
+
+from tools import drawn  # noqa: E402
+
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 NAMES = [str(page.relative_to(ROOT)) for page in PAGES]
 
@@ -175,4 +179,4 @@ def test_parts_that_studies_draw_are_what_the_ledgers_say() -> None:
     assert len(drawn.pages()) >= 2
     for page in drawn.pages():
         text = page.read_text(encoding="utf-8")
-        assert drawn.drawn(text) == text, f"{page}: draw it again with `python -m tools.drawn`"
+        assert drawn.drawn(text) == text, f"{page}: draw it again with `make drawn`"

@@ -1,4 +1,4 @@
-"""Parts of documentation pages that a study draws: `python -m tools.drawn` puts in what the ledgers say now.
+"""Parts of documentation pages that a study draws: `make drawn` puts in what the ledgers say now.
 
 A part stands between `<!-- drawn: results/FILE -->` and `<!-- end of drawn -->`; the tests compare.
 """
