@@ -3,7 +3,7 @@
 import functools
 import os
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 
@@ -44,13 +44,15 @@ import hypothesis  # noqa: E402
 import jax  # noqa: E402
 import jaxtyping  # noqa: E402
 import optax  # noqa: E402
+import pytest  # noqa: E402
 
 # Every annotation of the package is checked while the tests run.
 jaxtyping.install_import_hook("odaf", "typechecking.check")
 
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
-jax.config.update("jax_debug_key_reuse", True)
+# Nobody reads in a test which line of Python an operation of a compiled program stems from; to gather that is slow.
+jax.config.update("jax_traceback_in_locations_limit", 0)
 
 # Compiled programs are kept between runs, which saves most of a second run's time. A size limit makes JAX lock the
 # folder, so that workers may share it. Processes that a test starts (and may kill) compile for themselves.
@@ -80,3 +82,15 @@ optax.cosine_decay_schedule = lambda *arguments, **options: _promoting_freely(
 hypothesis.settings.register_profile("local", deadline=None)
 hypothesis.settings.register_profile("ci", deadline=None, derandomize=True)
 hypothesis.settings.load_profile("ci" if os.environ.get("CI") else "local")
+
+# JAX can watch that no random key is used twice, but then takes its slow way at every call. Where whole programs run,
+# those of every learner among them, it watches; where formulas are computed operation by operation it costs a sixth.
+_KEYS_ARE_WATCHED = ("battery", "behaviour", "estimation", "evaluation")
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _random_keys_are_used_once(request: pytest.FixtureRequest) -> Iterator[None]:
+    folder = request.path.relative_to(Path(__file__).parent).parts[0]
+    jax.config.update("jax_debug_key_reuse", folder in _KEYS_ARE_WATCHED)
+    yield
+    jax.config.update("jax_debug_key_reuse", False)

@@ -46,7 +46,7 @@ def test_derivatives_of_a_normalised_network_are_those_of_its_values(members):
             network, rows = jax.tree.map(jnp.asarray, arguments)
             return network(rows)
 
-        check_grads(values, (network, rows), order=2, atol=1e-6, rtol=1e-6)
+        check_grads(jax.jit(values), (network, rows), order=2, atol=1e-6, rtol=1e-6)
 
 
 def test_single_precision_stays_close_to_the_formula():

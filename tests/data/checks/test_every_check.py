@@ -1,6 +1,7 @@
 """Each way a log can be wrong, one file or log spoiled that way, and what the report says about it."""
 
 import dataclasses
+import functools
 from typing import Any
 
 import h5py
@@ -263,10 +264,15 @@ def spoiled(name: str) -> Log:
     return healthy.log(changes, drop, **settings)
 
 
+@functools.cache
+def report_of(name: str) -> Report:
+    return check_log(spoiled(name))
+
+
 @pytest.mark.parametrize("name", SPOILED)
 def test_the_report_says_what_is_wrong_and_where(name: str):
     _, (check, severity, field, count, rows) = SPOILED[name]
-    report = check_log(spoiled(name))
+    report = report_of(name)
     finding = only(report, check)
     assert (finding.severity, finding.field, finding.count, finding.rows) == (severity, field, count, rows)
     assert finding.remedy
@@ -282,7 +288,7 @@ def test_a_zero_is_said_without_a_sign():
 @pytest.mark.parametrize("name", SPOILED)
 def test_blocks_of_any_size_give_the_same_report(name: str, monkeypatch: pytest.MonkeyPatch):
     """Whatever a check carries from one block to the next is right at every border."""
-    whole = check_log(spoiled(name))
+    whole = report_of(name)
     for rows in (257, 1_000):
         monkeypatch.setattr("odaf.data.checks.run._block_rows", lambda facts, rows=rows: rows)
         pieces = check_log(spoiled(name))
@@ -298,7 +304,7 @@ HELD_ALL_THE_SAME = {"choices", "one-hot choices", "time twice", "time backwards
 @pytest.mark.parametrize("name", SPOILED)
 def test_what_has_no_error_becomes_a_dataset_and_what_has_one_does_not(name: str):
     log = spoiled(name)
-    if check_log(log).usable:
+    if report_of(name).usable:
         Dataset.from_log(log)
     elif name not in HELD_ALL_THE_SAME:
         with pytest.raises((DatasetError, TypeError)):
