@@ -27,7 +27,7 @@ from odaf.studies.perform import perform
 from odaf.studies.training import Training
 from odaf.training.progress import ProgressReport
 from studies.killed import small_study
-from studies.test_killed_study import records
+from studies.test_killed_study import records, times_resumed
 
 
 @pytest.fixture(scope="module")
@@ -136,6 +136,8 @@ def test_a_worker_is_killed_in_the_middle_and_the_records_are_the_same(cluster: 
         perform(Ledger(plan, place / "ledger"), todo, place / "work", cluster, Display("small", said))
         assert "[3/3] " in said.getvalue()
     assert (tmp_path / "killed" / "work" / "died").exists()
+    # The longer of the trainings goes on from the shorter in both; the one that died went on from its last checkpoint.
+    assert (times_resumed(tmp_path / "unbroken"), times_resumed(tmp_path / "killed")) == (1, 2)
     unbroken, killed = records(tmp_path / "unbroken" / "ledger"), records(tmp_path / "killed" / "ledger")
     assert len(unbroken) == 5 and killed == unbroken
 
