@@ -114,6 +114,9 @@ def test_the_table_ranks_and_compares_with_the_base() -> None:
         record("odaf", 0, 1.0, broad=True), record("odaf", 0, 1.0, log_seed=0),
     ]  # fmt: skip
     text = pointmaze_table.table({}, records)
+    assert "| odaf | the preset | 121.5 (0.50) |  |  | 150.0 (0.50) | 2 of 2 | 0 of 3 |" in text
+    assert "| mopo | the preset, not searched | 15.0 (0.25) |  |  |  | 0 of 1 | 2 of 2 |" in text
+    text = text[text.index("**stitch**") :]
     rows = [line for line in text.splitlines() if line.startswith("| ") and "|---" not in line]
     assert [row.split(" | ")[0] for row in rows[1:4]] == ["| odaf", "| odaf-without-outcome", "| mopo"]
     # Pairs (121, 120), (121, 121), (122, 120), (122, 121): three above, one tie.

@@ -64,6 +64,7 @@ def table(winners: Winners, records: Sequence[Record]) -> str:
     ]
     if not own:
         return "\n".join([*lines, "", "Not measured yet."]) + "\n"
+    lines += ["", *_overview(own, winners)]
     for maze, group in grouped(own, lambda one: MAZES.index(one["map"])).items():
         data, methods = group[0]["data"], grouped(group, lambda one: one["method"])
         base = [earned(one) for one in methods.get(BASE, [])]
@@ -82,13 +83,44 @@ def table(winners: Winners, records: Sequence[Record]) -> str:
     return "\n".join(lines) + "\n"
 
 
+def _overview(records: Sequence[Record], winners: Winners) -> list[str]:
+    """A row for each method: means by maze with the share of stitched episodes, and how its seeds stand to the log."""
+    lines = [
+        "Who stitches: mean return and, in brackets, the share of episodes that stitch; then in how many mazes the",
+        "mean is above the best logged return, and how many seeds are not.",
+        "",
+        f"| method | setting | {' | '.join(MAZES)} | mazes above the log | seeds not above it |",
+        f"|{'---|' * (4 + len(MAZES))}",
+    ]
+    methods = grouped(records, lambda one: one["method"]).values()
+    for runs in sorted(methods, key=lambda runs: -statistics.fmean(map(_over_log, runs))):
+        by_maze = grouped(runs, lambda one: MAZES.index(one["map"]))
+        cells = [""] * len(MAZES)
+        for maze, some in by_maze.items():
+            cells[maze] = f"{statistics.fmean(map(earned, some)):.1f} ({statistics.fmean(map(_stitched, some)):.2f})"
+        above = sum(statistics.fmean(map(_over_log, some)) > 0.0 for some in by_maze.values())
+        below = sum(_over_log(one) <= 0.0 for one in runs)
+        lines.append(
+            f"| {runs[0]['preset']} | {setting_of(runs[0], winners)} | {' | '.join(cells)} | {above} of {len(by_maze)} "
+            f"| {below} of {len(runs)} |"
+        )
+    return lines
+
+
+def _over_log(record: Record) -> float:
+    return earned(record) - record["data"]["best_return"]
+
+
+def _stitched(record: Record) -> float:
+    return 0.0 if record["final"] is None else record["final"]["stitched_rate"]
+
+
 def _row(runs: Sequence[Record], base: list[float], winners: Winners, published: bool) -> str:
     from odaf.evaluation.statistics import improvement, t_interval
 
     first, returns = runs[0], [earned(one) for one in runs]
     estimate = t_interval(returns)
-    over = estimate.mean - first["data"]["best_return"]
-    stitched = statistics.fmean(0.0 if one["final"] is None else one["final"]["stitched_rate"] for one in runs)
+    over, stitched = statistics.fmean(map(_over_log, runs)), statistics.fmean(map(_stitched, runs))
     better = ""
     if base and first["method"] != BASE:
         found = improvement(returns, base, resamples=999)
