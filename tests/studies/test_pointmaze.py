@@ -169,7 +169,7 @@ def test_a_policy_is_shoved_and_paths_are_drawn(tmp_path: Path, monkeypatch: pyt
     work = pointmaze_outcomes.Shoving(small, shoves=(("shove", 3),), episodes=2)
     made = json.loads(json.dumps(work.do(tmp_path, Silent())))
     found = made["found"]["shove"]
-    assert 0.0 < found["mean_return"] < 260.0 and 0.0 <= found["recovered"] <= 1.0 and "stitched_rate" in found
+    assert 0.0 < found["mean_return"] < 300.0 and 0.0 <= found["recovered"] <= 1.0 and "stitched_rate" in found
     prints = [made["policy"]["data"][kind] for kind in ("rows_sha256", "sha256") if kind in made["policy"]["data"]]
     known = {small.task.name: {"recipe": log.recipe(), "sha256": prints}}
     assert differences(work.recorded(made, known), work.identity(), work.unrecorded()) == []

@@ -258,14 +258,14 @@ _LADDER = StitchConfig(
         Route("second-loop-hold", goals=_SECOND_LOOP, repeats=250),
         Route("second-loop-random", goals=_SECOND_LOOP, repeats=250, after="random"),
     ),
-    steps=260,
+    steps=300,
     accept=(
-        ("mean", 38.6, 40.4),
-        ("best", 58.0, 69.0),
-        ("first-loop-hold/mean", 34.3, 37.6),
-        ("first-loop-random/mean", 33.4, 36.8),
-        ("second-loop-hold/mean", 42.0, 45.8),
-        ("second-loop-random/mean", 41.0, 45.2),
+        ("mean", 66.8, 69.2),
+        ("best", 90.0, 106.0),
+        ("first-loop-hold/mean", 65.2, 68.6),
+        ("first-loop-random/mean", 59.5, 62.8),
+        ("second-loop-hold/mean", 73.0, 77.0),
+        ("second-loop-random/mean", 66.6, 70.8),
     ),
 )
 
