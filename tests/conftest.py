@@ -1,7 +1,6 @@
 """Settings that hold for every test: run-time type checks, strict JAX, reproducible examples, one core a worker."""
 
 import functools
-import gc
 import itertools
 import os
 import signal
@@ -98,14 +97,13 @@ def _random_keys_are_used_once(request: pytest.FixtureRequest) -> Iterator[None]
     jax.config.update("jax_debug_key_reuse", False)
 
 
-# A program that JAX compiled takes about six memory maps, of which Linux allows a process 65,530. One that reaches them
-# dies inside the compiler. So what is compiled is forgotten in time.
-_MOST_MAPS, _TESTS_BETWEEN = 30_000, 20
+# Most of the tests compile more programs than one process can hold.
+_TESTS_BETWEEN = 20
 _ended = itertools.count(1)
 
 
 def pytest_runtest_teardown() -> None:
-    maps = Path("/proc/self/maps")
-    if next(_ended) % _TESTS_BETWEEN == 0 and maps.exists() and maps.read_bytes().count(b"\n") > _MOST_MAPS:
-        jax.clear_caches()
-        gc.collect()
+    from odaf.training.memory import forget_programs_in_time
+
+    if next(_ended) % _TESTS_BETWEEN == 0:
+        forget_programs_in_time()

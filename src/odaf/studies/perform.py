@@ -93,6 +93,9 @@ def perform(
 
 def _do(place: Path, job: Job) -> Record:
     """In a worker, or here: one job."""
+    from odaf.training.memory import forget_programs_in_time
+
+    forget_programs_in_time()
     return job.do.do(place, JobReport(job.name, send))
 
 

@@ -31,7 +31,7 @@ from odaf.training import loop, run_directory
 from odaf.training.combined_progress import CombinedProgress, SeedReport
 from odaf.training.interrupts import held_back
 from odaf.training.logging import Logger
-from odaf.training.memory import give_back_freed_memory
+from odaf.training.memory import forget_programs_in_time, give_back_freed_memory
 from odaf.training.progress import ProgressReport
 from odaf.training.seeds import SeedTraining
 from odaf.training.settings import products_in
@@ -103,6 +103,7 @@ class _Program:
     """The compiled training, and the rows of all data sets that its lanes draw from."""
 
     def __init__(self, lanes: Sequence[Lane], width: int):
+        forget_programs_in_time()
         learner, spec = lanes[0].seed.run.algorithm, lanes[0].seed.run.spec
         sources: dict[Any, Lane] = {}
         for lane in lanes:

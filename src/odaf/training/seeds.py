@@ -19,7 +19,7 @@ from odaf.training.evaluator import Evaluation, Evaluator, EvaluatorBeside
 from odaf.training.files import write_json
 from odaf.training.interrupts import Interrupt, held_back
 from odaf.training.logging import JsonLines, Logger
-from odaf.training.memory import give_back_freed_memory
+from odaf.training.memory import forget_programs_in_time, give_back_freed_memory
 from odaf.training.monitors import DivergenceMonitor, TrainingWarning
 from odaf.training.progress import ProgressReport
 from odaf.training.run_directory import RunDirectory
@@ -52,6 +52,7 @@ def prepare(run: RunDirectory, dataset: Dataset, compiling: Callable[[], None]) 
         compiling: called before compilation starts, which takes seconds.
     """
     learner = run.algorithm
+    forget_programs_in_time()
     compiling()
     began = time.perf_counter()
     shapes = training_column_shapes(dataset, learner.drawn_view())
