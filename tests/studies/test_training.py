@@ -170,7 +170,7 @@ def held() -> tuple[Training, Ledger]:
         ({"preset": "odaf-without-outcome"}, "learner.terms.outcome was a table, is no longer there"),
         ({"seed": 1}, "seed was 0, is 1"),
         ({"steps": 30_000}, "steps was 20000, is 30000"),
-        ({"log": MazeLog("stitch", seed=1)}, "data.print was "),
+        ({"log": MazeLog("stitch", seed=1)}, "data.print was 'b0d2d298, not in data.json', is 'known'"),
         ({"evaluation": Evaluation(episodes=100)}, "evaluation.final_episodes was 50, is 100"),
         ({"evaluation": Evaluation(every=1_000)}, "evaluation.every was 5000, is 1000"),
         ({"version": 2}, "evaluation.version was 1, is 2"),

@@ -13,9 +13,9 @@ _MAPS, _MOST_MAPS = Path("/proc/self/maps"), Path("/proc/sys/vm/max_map_count")
 def forget_programs_in_time() -> None:
     """Forgets all compiled programs once they hold half of the memory maps that Linux allows this process.
 
-    JAX keeps what it has compiled, and each program for a processor takes about six maps: some 800 a training of
-    another structure, where 65,530 are allowed by default. A process that has none left dies inside the compiler. What
-    is needed again is compiled again. Elsewhere than on Linux nothing is done.
+    JAX keeps what it has compiled, and each program for a processor takes several maps, of which 65,530 are allowed by
+    default: trainings of one structure share them, those of another add hundreds. A process that has none left dies
+    inside the compiler. What is needed again is compiled again. Elsewhere than on Linux nothing is done.
     """
     try:
         held, most = _MAPS.read_bytes().count(b"\n"), int(_MOST_MAPS.read_text())
