@@ -33,6 +33,7 @@ _HOME_OF = {
     "Run": "odaf.evaluation",
     "StateDeviation": "odaf.algorithms.terms",
     "ValueSmoothing": "odaf.algorithms.terms",
+    "advise": "odaf.data.advise",
     "aftermath": "odaf.assessment",
     "assess": "odaf.assessment",
     "combinations": "odaf.runs.many",
@@ -97,6 +98,7 @@ if TYPE_CHECKING:
     )
     from odaf.assessment import aftermath, assess
     from odaf.data import Dataset
+    from odaf.data.advise import advise
     from odaf.deployment import export, guard
     from odaf.errors import CheckpointError, ConfigError, DatasetError, DivergenceError, OdafError
     from odaf.estimation import estimate, select
@@ -133,6 +135,7 @@ __all__ = [
     "StateDeviation",
     "ValueSmoothing",
     "__version__",
+    "advise",
     "aftermath",
     "assess",
     "combinations",

@@ -94,7 +94,7 @@ def test_a_task_gives_the_defaults_and_options_change_them(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
     taken = []
-    monkeypatch.setattr("odaf.cli.train.train", lambda preset, algorithm, options, how: taken.append(algorithm))
+    monkeypatch.setattr("odaf.cli.train.train", lambda preset, algorithm, *others: taken.append(algorithm))
     words = ["train", "edac", "--data", "log.h5", "--out", "run"]
     for more in ([], ["--task", "hopper-medium"], ["--task=walker2d-medium-expert", "--num-critics", "4"]):
         main([*words, *more])

@@ -3,7 +3,7 @@
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
@@ -13,10 +13,14 @@ from odaf.cli.outputs import CHECK_REPORT, check_outputs
 from odaf.cli.readers import ReaderOptions, require_file
 from odaf.cli.results import print_report
 
+if TYPE_CHECKING:
+    from odaf.data.checks import Report
+
 
 @dataclass(frozen=True, kw_only=True)
 class CheckOptions(ReaderOptions):
-    """Say whether a log can be learned from: what is wrong, in which rows, how often, and what to do.
+    """Say whether a log can be learned from: what is wrong, in which rows, how often, and what to do; then, of a log
+    without errors, which method to begin with and why.
 
     Reads files of ours, of D4RL, Minari, OGBench, d3rlpy, LeRobot, Parquet and CSV, in one pass and without holding
     them in memory. Changes nothing. Ends with 0 if the log is usable, with 1 if it has warnings and --strict is given,
@@ -48,10 +52,25 @@ def run(arguments: list[str]) -> int:
     with rows_bar("checking") as progress:
         report = check_file(options.file, options.format, widths=widths, progress=progress, **options.for_reader())
     print_report(report)
+    print(f"\n{_advice(options, report)}")
     if options.json is not None:
         text = json.dumps(report.to_dict(), indent=2, allow_nan=False, ensure_ascii=False)
         write_text(options.json, text + "\n")
     return report.exit_code(options.strict)
+
+
+def _advice(options: CheckOptions, report: "Report") -> str:
+    """Which method to begin with, as the end of the page."""
+    if report.advice is None:
+        return "what to begin with: errors come first; mend them and check again"
+    if not options.for_reader() and report.format not in ("csv", "parquet"):
+        return (
+            f"{report.advice.describe(str(options.file))}\n`odaf train auto --data FILE --out DIR` takes this advice."
+        )
+    return (
+        f"{report.advice.describe('LOG.h5')}\n"
+        "LOG.h5 is the log as `odaf data import` keeps it; `odaf train auto --data LOG.h5 --out DIR` takes this advice."
+    )
 
 
 def _widths(identity: str) -> tuple[int, int]:

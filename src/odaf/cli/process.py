@@ -57,6 +57,20 @@ def option_given(arguments: list[str], option: str) -> str | None:
     return None
 
 
+def values_given(arguments: list[str], option: str) -> list[str]:
+    """The words that follow an option that takes several, up to the next option."""
+    found, inside = [], False
+    for word in arguments:
+        if word == option or word.startswith(f"{option}="):
+            inside, (_, equals, value) = True, word.partition("=")
+            found += [value] if equals else []
+        elif word.startswith("--"):
+            inside = False
+        elif inside:
+            found.append(word)
+    return found
+
+
 def _recorded(directory: str | Path | None) -> Mapping[str, Any]:
     if directory is None:
         return {}

@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
+from odaf.cli.advised import AUTO, AUTO_HELP, advised
 from odaf.cli.compilation_cache import use_compilation_cache
 from odaf.cli.interrupts import repeatable, resumable
 from odaf.cli.options import parse, run_settings, settings_of, with_settings
-from odaf.cli.process import option_given, prepare_process
+from odaf.cli.process import option_given, prepare_process, values_given
 from odaf.cli.results import print_run, print_runs
 from odaf.errors import ConfigError
 from odaf.runs import presets
@@ -74,15 +75,22 @@ def run(arguments: list[str]) -> None:
     if not arguments or arguments[0].startswith("-"):
         return _without_preset(arguments)
     preset, rest = arguments[0], arguments[1:]
+    command, advice = f"train {preset}", None
     places = (option_given(rest, option) for option in ("--out", "--cores", "--device"))
     prepare_process(*places, deterministic="--no-deterministic" not in rest)
-    # The defaults of the options depend on the task.
-    algorithm = presets.load(preset, task=option_given(rest, "--task"))
-    options: Any = parse(_options(preset, algorithm), rest, f"train {preset}")
-    return train(preset, with_settings(algorithm, options.settings), options.run, options.how)
+    if preset == AUTO:
+        if not values_given(rest, "--data") and ("-h" in rest or "--help" in rest):
+            return print(AUTO_HELP)
+        advice = advised(rest)
+        preset = advice.preset
+    # The defaults of the options depend on the task, and what is advised is a default too.
+    algorithm = presets.load(preset, advice and advice.settings, task=option_given(rest, "--task"))
+    options: Any = parse(_options(preset, algorithm), rest, command)
+    learner = with_settings(algorithm, options.settings)
+    return train(preset, learner, options.run, options.how, advice and advice.to_dict())
 
 
-def train(preset: str, algorithm: Any, options: RunOptions, how: Any) -> None:
+def train(preset: str, algorithm: Any, options: RunOptions, how: Any, advice: Mapping[str, Any] | None = None) -> None:
     """Train, then print where each seed stands.
 
     Args:
@@ -90,6 +98,7 @@ def train(preset: str, algorithm: Any, options: RunOptions, how: Any) -> None:
         algorithm: the learner.
         options: data, directory and evaluation.
         how: the other fields of `RunSettings`.
+        advice: what chose the preset, for the record.
     """
     from odaf.algorithms.config import replace
     from odaf.data import Dataset
@@ -110,7 +119,7 @@ def train(preset: str, algorithm: Any, options: RunOptions, how: Any) -> None:
             "--halving: chooses among values of --set on one data set; name one file, and several values of a setting"
         )
     if others or any(len(each) > 1 for each in values.values()):
-        return _train_many(preset, algorithm, options, how, values)
+        return _train_many(preset, algorithm, options, how, values, advice)
     algorithm = replace(algorithm, {name: each[0] for name, each in values.items()}, "--set")
     refuse_foreign(options.out)
     loggers = [tracker(name) for name in options.log_to]
@@ -128,13 +137,19 @@ def train(preset: str, algorithm: Any, options: RunOptions, how: Any) -> None:
             progress=not options.quiet,
             preset=preset,
             data_path=data,
+            advice=advice,
             loggers=loggers,
         )
     print_run(result)
 
 
 def _train_many(
-    preset: str, algorithm: Any, options: RunOptions, how: Any, values: Mapping[str, Sequence[Any]]
+    preset: str,
+    algorithm: Any,
+    options: RunOptions,
+    how: Any,
+    values: Mapping[str, Sequence[Any]],
+    advice: Mapping[str, Any] | None,
 ) -> None:
     """Train a run for each combination of data sets and values, then print where each stands."""
     from odaf.runs.many import combinations, fit_many
@@ -144,7 +159,7 @@ def _train_many(
     from odaf.training.trackers import tracker
 
     loggers = [tracker(name) for name in options.log_to]
-    runs = combinations(algorithm, options.data, values, options.out, preset)
+    runs = combinations(algorithm, options.data, values, options.out, preset, advice)
     for plan in runs:
         refuse_foreign(plan.directory)
     settings = RunSettings(**vars(how), evaluate=_evaluation(options, {plan.data_path: plan.dataset for plan in runs}))
@@ -292,5 +307,6 @@ def _without_preset(arguments: list[str]) -> None:
         "usage: odaf train PRESET --data FILE --out DIR [options]\n\n"
         "Learn policies from a data set.\n\n"
         f"presets:\n{lines}\n\n"
-        "`odaf train PRESET --help` lists every setting of that preset."
+        "`odaf train PRESET --help` lists every setting of that preset. `odaf train auto --data FILE --out DIR`\n"
+        "looks at the log and takes the preset that it asks for: see `odaf train auto --help`."
     )

@@ -14,7 +14,7 @@ from odaf.report.records import LOCAL, RunRecord, data_prints, environments, fin
 from odaf.report.scores import Score, decimals, headline_index, score
 from odaf.report.template import rendered, require_file, write_page
 
-_NOT_SETTINGS = ("format", "version")
+_NOT_SETTINGS = ("format", "version", "advice")
 
 
 def build(

@@ -2,10 +2,10 @@
 
 import contextlib
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Unpack
+from typing import Any, Unpack
 
 import jax
 
@@ -41,6 +41,7 @@ def fit(
     preset: str | None = None,
     loggers: Sequence[Logger] = (),
     data_path: str | os.PathLike[str] | None = None,
+    advice: Mapping[str, Any] | None = None,
     **changes: Unpack[SettingChanges],
 ) -> Run:
     """Trains `algorithm` on `dataset` once for every seed and leaves all results in `directory`.
@@ -61,6 +62,7 @@ def fit(
         preset: name under which the learner's settings are known.
         loggers: receivers of metrics beside `metrics.jsonl`; each worker has a copy.
         data_path: the file that `dataset` was read from, if it was given as an object.
+        advice: what chose the preset, as `odaf.advise(...).to_dict()` has it, for the record.
         **changes: fields of `RunSettings` by name; they go before those in `settings`.
 
     Raises:
@@ -85,6 +87,7 @@ def fit(
             preset=preset,
             loggers=loggers,
             data_path=data_path,
+            advice=advice,
             train_seeds=_trainer(settings, data_path, apart),
             apart=apart,
         )

@@ -42,6 +42,7 @@ class Plan:
         data_path: the file that `dataset` was read from.
         seeds: in place of those in the settings.
         evaluated: False tries no policy of this run, as where its data name no environment.
+        advice: what chose the preset, for the record.
     """
 
     algorithm: Algorithm
@@ -51,6 +52,7 @@ class Plan:
     data_path: Path | None = None
     seeds: tuple[int, ...] | None = None
     evaluated: bool = True
+    advice: Mapping[str, Any] | None = None
 
     def number(self, settings: RunSettings) -> int:
         """How many trainings it is."""
@@ -68,6 +70,7 @@ def combinations(
     values: Mapping[str, Sequence[Any]],
     directory: str | os.PathLike[str],
     preset: str | None = None,
+    advice: Mapping[str, Any] | None = None,
 ) -> list[Plan]:
     """A run for each combination of data sets and values of settings, in a folder named by what sets it apart.
 
@@ -77,6 +80,7 @@ def combinations(
         values: for each setting by its dotted name, such as `outcome.weight`, the values it takes.
         directory: the folder of all runs; where there is one combination alone, its run itself.
         preset: name under which the learner's settings are known.
+        advice: what chose the preset, for the record.
 
     Raises:
         ConfigError: a setting does not exist, a value is of the wrong type, or two combinations are the same.
@@ -99,7 +103,7 @@ def combinations(
         if where in found:
             raise ConfigError(f"set: two runs would be written to {where}; give every value once")
         learner = config.replace(algorithm, settings, "set") if settings else algorithm
-        found[where] = Plan(learner, sets[place], where, preset, paths[place])
+        found[where] = Plan(learner, sets[place], where, preset, paths[place], advice=advice)
     return list(found.values())
 
 
@@ -159,6 +163,7 @@ def fit_many(
                 progress=report,
                 preset=plan.preset,
                 data_path=plan.data_path,
+                advice=plan.advice,
                 loggers=loggers,
             )
     return [done[plan.directory] for plan in runs]
@@ -188,6 +193,7 @@ def _in_lanes(
                 report=report,
                 preset=plan.preset,
                 data_path=plan.data_path,
+                advice=plan.advice,
             )
             run, seeds = stack.enter_context(opened)
             found[plan.directory] = Run(run)

@@ -2,7 +2,7 @@
 
 import contextlib
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal, Unpack
@@ -51,6 +51,7 @@ def fit(
     preset: str | None = None,
     loggers: Sequence[Logger] = (),
     data_path: str | os.PathLike[str] | None = None,
+    advice: Mapping[str, Any] | None = None,
     train_seeds: TrainSeeds = one_after_another,
     apart: bool = False,
     **changes: Unpack[SettingChanges],
@@ -69,6 +70,7 @@ def fit(
         preset: name under which the learner's settings are known, for the record.
         loggers: receivers of metrics beside `metrics.jsonl`.
         data_path: the file that `dataset` was read from, kept for `resume`.
+        advice: what chose the preset, as `odaf.advise(...).to_dict()` has it, for the record.
         train_seeds: how several seeds share the machine; by default each is trained to its end before the next begins.
         apart: whether `train_seeds` trains in other processes, on as many cores as the settings say.
         **changes: fields of `RunSettings` by name; they go before those in `settings`.
@@ -83,7 +85,7 @@ def fit(
     report = default_progress(progress)
     opened = open_run(
         algorithm, dataset, directory=directory, settings=settings, report=report, preset=preset, data_path=data_path,
-        apart=apart,
+        advice=advice, apart=apart,
     )  # fmt: skip
     with opened as (run, seeds):
         _train(seeds, dataset, settings, report, loggers, train_seeds)
@@ -100,6 +102,7 @@ def open_run(
     report: ProgressReport,
     preset: str | None = None,
     data_path: str | os.PathLike[str] | None = None,
+    advice: Mapping[str, Any] | None = None,
     apart: bool = False,
 ) -> Iterator[tuple[RunDirectory, list[SeedTraining]]]:
     """A block in which the run is ours alone; gives it and its seeds that are not at their end. See `fit`.
@@ -112,6 +115,7 @@ def open_run(
         report: where progress is shown.
         preset: name under which the learner's settings are known.
         data_path: the file that `dataset` was read from.
+        advice: what chose the preset.
         apart: whether seeds are trained in other processes.
     """
     register_parts(algorithm)
@@ -119,7 +123,7 @@ def open_run(
     path, evaluate = Path(directory), _evaluator(settings)
     normaliser = Normaliser.fit(dataset.observations, algorithm.view().normaliser_epsilon)
     data = run_writing.data_record(dataset, normaliser, data_path, path) | drawn_rows(algorithm, dataset)
-    config = run_writing.config_record(algorithm, settings, preset)
+    config = run_writing.config_record(algorithm, settings, preset, advice)
     run_writing.refuse_foreign(path)
     path.mkdir(parents=True, exist_ok=True)
     with locked(path):

@@ -3,6 +3,7 @@
 import os
 import shlex
 import shutil
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -27,10 +28,12 @@ _FILES = ("environment.json", "data_sample.npz", "data.json", "config.json")
 _SAMPLED_EPISODES = 100
 
 
-def config_record(algorithm: Algorithm, settings: RunSettings, preset: str | None) -> dict[str, Any]:
-    """The content of `config.json`."""
+def config_record(
+    algorithm: Algorithm, settings: RunSettings, preset: str | None, advice: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
+    """The content of `config.json`; `advice` stands there only if it chose the preset."""
     record = {"format": FORMAT, "version": VERSION, "preset": preset, "algorithm": to_dict(algorithm)}
-    return plain(record | settings.to_dict())
+    return plain(record | settings.to_dict() | ({} if advice is None else {"advice": dict(advice)}))
 
 
 def begin(

@@ -4,7 +4,8 @@
 finding means for learning is told in docs/reference/checks.md.
 """
 
+from odaf.data.checks.advice import Advice
 from odaf.data.checks.findings import Finding, Report
 from odaf.data.checks.run import check_file, check_log, open_log
 
-__all__ = ["Finding", "Report", "check_file", "check_log", "open_log"]
+__all__ = ["Advice", "Finding", "Report", "check_file", "check_log", "open_log"]

@@ -59,6 +59,8 @@ class Report:
         findings: errors first, then warnings, then notes.
         figures: what was measured on the way, in JSON types: sizes, returns, range and spread of each column.
         signs: `odaf.data.checks.signs.Signs` of a sample of the rows, for pictures; None in a report from a file.
+        advice: `odaf.data.checks.advice.Advice`, which method to begin with; None where there are errors, and in a
+            report from a file.
     """
 
     source: str
@@ -66,6 +68,7 @@ class Report:
     findings: tuple[Finding, ...]
     figures: Mapping[str, Any] = field(default_factory=dict)
     signs: Any = field(default=None, repr=False, compare=False)
+    advice: Any = field(default=None, repr=False, compare=False)
 
     def of(self, severity: Severity) -> tuple[Finding, ...]:
         """The findings of one severity."""
@@ -89,7 +92,7 @@ class Report:
             raise DatasetError("\n".join(f"{self.source}: {finding}" for finding in left))
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON types: source, format, usable, counts by severity, findings, figures."""
+        """JSON types: source, format, usable, counts by severity, findings, figures, advice (null with errors)."""
         return {
             "source": self.source,
             "format": self.format,
@@ -97,6 +100,7 @@ class Report:
             "counts": {severity: len(self.of(severity)) for severity in SEVERITIES},
             "findings": [asdict(finding) | {"rows": list(finding.rows)} for finding in self.findings],
             "figures": dict(self.figures),
+            "advice": None if self.advice is None else self.advice.to_dict(),
         }
 
     def verdict(self) -> str:

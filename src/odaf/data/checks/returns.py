@@ -4,6 +4,7 @@ import numpy as np
 
 from odaf.data.checks.findings import Finding
 from odaf.data.checks.moments import Moments
+from odaf.data.checks.parting import FEWEST, compared, part
 from odaf.data.checks.stream import Block, Facts
 from odaf.data.summary import fragments
 
@@ -13,17 +14,6 @@ steps of a thousandth, so they never reach values of 1e5, and do not tell values
 MOST_EPISODES = 250_000
 """Episodes whose returns are compared, so that memory is bounded; further ones only enter the figures."""
 VERY_DIFFERENT = 3.0
-FEWEST = 5
-MUCH_LONGER = 1.5
-"""Of lengths that the recording decided, nine tenths over one tenth: above it returns tell how long it ran."""
-FEWEST_COMPARED, FEWEST_GOOD = 20, 3
-LEAST_ROWS, MOST_GOOD = 0.01, 0.2
-"""Share of the rows that a better part is worth speaking of, and of rows and episodes that are still few."""
-FAR_BETTER = 4.0
-"""Spreads of the other episodes' returns that the worst good one lies above their mean; of 1,000 episodes whose returns
-are normally distributed the third best, where good ones begin, lies at 2.9."""
-LEAST_SPREAD = 1e-4
-"""Of the other episodes, as a share of the whole range, such as that of returns that are all 0."""
 
 
 class RewardScale:
@@ -122,9 +112,13 @@ class Returns:
             self._finished = True
             self._take(*(np.array([value]) for value in (self._began, self._sum, self._steps, self._last_terminated)))
 
-    def findings(self) -> list[Finding]:
+    def episodes(self) -> np.ndarray:
+        """[4, episodes] first row, return, length and whether it terminated, of the first 250,000 episodes."""
         self.finish()
-        firsts, returns, lengths, terminated = np.concatenate(self._kept).T
+        return np.concatenate(self._kept).T
+
+    def findings(self) -> list[Finding]:
+        firsts, returns, lengths, terminated = self.episodes()
         if len(returns) < FEWEST or not np.isfinite(returns).all():
             return []
         return [
@@ -170,45 +164,24 @@ class Returns:
 
 
 def _few_good(firsts: np.ndarray, returns: np.ndarray, lengths: np.ndarray, terminated: np.ndarray) -> list[Finding]:
-    """A few episodes far better than the rest: advice on what to draw, as such a log is sound.
-
-    Of all ways to part the episodes into the best few and the rest, that whose worst good one lies farthest above the
-    mean of the rest, in spreads of the rest. Fragments are left out; where the recorder decided how long the others
-    are, they are compared by return per step.
-    """
-    whole = ~fragments(lengths, terminated)
-    cut = lengths[whole & ~terminated]
-    per_step = len(cut) >= FEWEST and bool(np.quantile(cut, 0.9) > MUCH_LONGER * np.quantile(cut, 0.1))
-    merits = (returns / lengths if per_step else returns)[whole]
-    order = np.argsort(-merits, kind="stable")
-    best, rows = merits[order], np.cumsum(lengths[whole][order])
-    count, size = len(best), best[0] - best[-1]
-    if count < FEWEST_COMPARED or size <= 0.0:
+    """A few episodes far better than the rest: advice on what to draw, as such a log is sound."""
+    merits = compared(returns, lengths, terminated)
+    values, sizes = merits.values[merits.whole], lengths[merits.whole]
+    count = len(values)
+    parting = part(values, sizes)
+    if parting is None:
         return []
-    few = np.arange(1, count)  # how many are good
-    shares = rows[:-1] / rows[-1]
-    centred = (best - best[-1]) / size
-    below = np.cumsum(centred[::-1])[::-1][1:] / (count - few)
-    squares = np.cumsum(np.square(centred)[::-1])[::-1][1:] / (count - few)
-    spread = np.sqrt(np.maximum(squares - np.square(below), LEAST_SPREAD**2))
-    distance = np.where(
-        (few >= FEWEST_GOOD) & (few <= MOST_GOOD * count) & (shares >= LEAST_ROWS) & (shares <= MOST_GOOD),
-        (centred[:-1] - below) / spread,
-        0.0,
-    )
-    place = int(np.argmax(distance))
-    if distance[place] < FAR_BETTER:
-        return []
-    good, step = int(few[place]), " per step" if per_step else ""
-    rest = best[good:]
-    why = "as the recording cut episodes of different length" if per_step else "fragments aside"
-    how = ", return_per='step'" if per_step else ""
+    good, step = parting.episodes, " per step" if merits.per_step else ""
+    order = np.argsort(-values, kind="stable")
+    rest = values[order[good:]]
+    why = "as the recording cut episodes of different length" if merits.per_step else "fragments aside"
+    how = ", return_per='step'" if merits.per_step else ""
     return [
         Finding(
             "few-good-episodes", "note", "rewards", good,
-            tuple(int(row) for row in np.sort(firsts[whole][order[:good]])[:5]),
-            f"{good} of {count:,} episodes, {shares[place]:.1%} of the rows, have a return{step} of at least "
-            f"{best[good - 1]:.4g}; the others have {rest.mean():.4g} on average, with a spread of {rest.std():.2g} "
+            tuple(int(row) for row in np.sort(firsts[merits.whole][order[:good]])[:5]),
+            f"{good} of {count:,} episodes, {parting.rows:.1%} of the rows, have a return{step} of at least "
+            f"{parting.least:.4g}; the others have {rest.mean():.4g} on average, with a spread of {rest.std():.2g} "
             f"(compared by return{step}, {why}): a learner that draws all rows alike sees little of the good ones",
             "nothing is wrong; try `odaf train behaviour-cloning-best`, or any learner with sampling='return' or 'best'"
             f"{how} (--set sampling=return), beside one that draws all alike",

@@ -9,13 +9,15 @@ import numpy as np
 
 from odaf.data.checks import known, signs, structure
 from odaf.data.checks.actions import Bounds, Discrete
+from odaf.data.checks.advice import Advice, advice_for
 from odaf.data.checks.continuity import Jumps, Successors
 from odaf.data.checks.duplicates import Duplicates
 from odaf.data.checks.episodes import Clock, Ends, Ids
 from odaf.data.checks.findings import Finding, Report, sort_findings
+from odaf.data.checks.log_statistics import measure
 from odaf.data.checks.resets import MisplacedEnds
 from odaf.data.checks.returns import Returns, RewardScale
-from odaf.data.checks.sample import Sampler
+from odaf.data.checks.sample import Sample, Sampler
 from odaf.data.checks.stream import Check, Facts, blocks
 from odaf.data.checks.values import Columns, Finite, FlagValues
 from odaf.data.log import Log
@@ -39,7 +41,7 @@ def check_log(log: Log, *, widths: tuple[int, int] | None = None, progress: Prog
     """
     facts, findings = structure.examine(log, widths)
     figures: dict[str, Any] = {}
-    seen = signs.Signs()
+    seen, advice = signs.Signs(), None
     if facts is not None and facts.fields:
         checks, sampler = _checks(facts), Sampler(facts)
         for block in blocks(facts, _block_rows(facts)):
@@ -50,13 +52,16 @@ def check_log(log: Log, *, widths: tuple[int, int] | None = None, progress: Prog
         for check in checks:
             findings += check.findings()
         figures = _figures(facts, checks)
+        names = _names(log.observation_names, "observation", facts.obs_dim)
         if (sample := sampler.sample()) is not None:
             seen = signs.find(sample)
-            findings += seen.findings(_names(log.observation_names, "observation", facts.obs_dim), facts.action_names)
+            findings += seen.findings(names, facts.action_names)
+        if not any(finding.severity == "error" for finding in findings):
+            advice = _advice(facts, checks, sample, names)
     findings = [_as_in_source(log, finding) for finding in findings]
     findings += known.version_findings(log)
     findings += [_from_reader(entry) for entry in log.findings]
-    return Report(log.source, log.format, sort_findings(findings), figures, seen)
+    return Report(log.source, log.format, sort_findings(findings), figures, seen, advice)
 
 
 def check_file(
@@ -128,6 +133,18 @@ def _checks(facts: Facts) -> list[Check]:
     if "rewards" in has:
         checks += [RewardScale(facts), Returns(facts)]
     return checks
+
+
+def _advice(facts: Facts, checks: list[Check], sample: Sample | None, names: tuple[str, ...]) -> Advice | None:
+    """For a log without errors, in which all columns are there and finite."""
+    returns = next(check for check in checks if isinstance(check, Returns))
+    columns = next(check for check in checks if isinstance(check, Columns))
+    episodes = returns.episodes()
+    if not np.isfinite(episodes).all():  # sums of rewards beyond double precision
+        return None
+    variance = float(columns.moments["rewards"].std[0]) ** 2
+    mixed = facts.log.mixture is not None
+    return advice_for(measure(episodes, variance, facts.rows, names, facts.act_dim, sample, mixed))
 
 
 def _names(given: tuple[str, ...] | None, prefix: str, count: int) -> tuple[str, ...]:
