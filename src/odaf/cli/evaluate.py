@@ -128,12 +128,21 @@ def _in_peace(options: EvaluateOptions) -> None:
     if (normalised := scores.normalised) is not None and not math.isnan(scores.mean):
         print(
             f"\n{normalised['environment']}: normalised score {number(normalised['normalised_score'])} "
-            f"(0 random, 100 expert), raw return {number(normalised['mean_return'])}"
+            f"({_meaning(normalised['environment'])}), raw return {number(normalised['mean_return'])}"
         )
     for note in scores.notes:
         print(f"\nnote: {note}")
     if options.json is not None:
         write_json(options.json, scores.to_dict())
+
+
+def _meaning(environment: str) -> str:
+    """What 0 and 100 are in an environment that has a normalised score."""
+    from odaf.environments.reference_returns import reference_of
+
+    reference = reference_of(environment)
+    assert reference is not None
+    return reference.meaning
 
 
 def _under_attack(options: EvaluateOptions) -> None:
@@ -178,8 +187,8 @@ def _knocked(options: EvaluateOptions) -> None:
     )
     print(score_table(found.scores))
     print(f"\nreturn {estimated(found.scores.estimate())}")
-    if found.normalised is not None:
-        print(f"{found.scores.environment}: normalised score {estimated(found.normalised)} (0 random, 100 expert)")
+    if found.normalised is not None and (played := found.scores.environment) is not None:
+        print(f"{played}: normalised score {estimated(found.normalised)} ({_meaning(played)})")
     if (recovery := found.recovery) is not None:
         median = "never" if recovery.median == float("inf") else f"{recovery.median:g} steps"
         print(

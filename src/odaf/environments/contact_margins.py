@@ -49,7 +49,9 @@ def check(rule: Any) -> ContactMargins | None:
 
 
 def apply(environment: Any, rule: ContactMargins | None, name: str) -> None:
-    """Makes a fresh environment count its margins by `rule`; None leaves it as it is.
+    """Makes an environment count its margins by `rule`; None leaves it as it is.
+
+    It is fresh, or says in `contact_margins` which rule it was made for, which is then changed too.
 
     Raises:
         ConfigError: there is no such rule, or no MuJoCo model in the environment.
@@ -60,13 +62,27 @@ def apply(environment: Any, rule: ContactMargins | None, name: str) -> None:
     if not models:
         raise ConfigError(f"contact_margins={rule!r}: '{name}' has no MuJoCo model; leave the option out")
     for model in models:
-        set_rule(model, rule)
+        set_rule(model, rule, _own_rule(environment))
+    if _own_rule(environment) is not None:
+        getattr(environment, "unwrapped", environment).contact_margins = rule
 
 
-def set_rule(model: Any, rule: ContactMargins | None) -> None:
-    """Scales the margins of one fresh model so that the installed simulator counts them by `rule`."""
-    if rule is not None and rule != installed_rule():
+def set_rule(model: Any, rule: ContactMargins | None, now: ContactMargins | None = None) -> None:
+    """Scales the margins of one model so that the installed simulator counts them by `rule`.
+
+    Args:
+        model: of MuJoCo.
+        rule: None changes nothing.
+        now: the rule that the model's margins are already made for; None is a fresh model, whose are the installed one.
+    """
+    if rule is not None and rule != (now or installed_rule()):
         model.geom_margin *= 0.5 if rule == "larger" else 2.0
+
+
+def _own_rule(environment: Any) -> ContactMargins | None:
+    """The rule that an environment was made for by itself, as `odaf/AntMaze-UMaze-v0` is; None where it has none."""
+    rule = getattr(getattr(environment, "unwrapped", environment), "contact_margins", None)
+    return check(rule) if isinstance(rule, str) else None
 
 
 def models_in(environment: Any) -> list[Any]:
@@ -90,13 +106,14 @@ def simulator_of(environment: Any, rule: ContactMargins | None = None) -> dict[s
 
     Args:
         environment: built with `rule`.
-        rule: None is the installed one.
+        rule: None is the one that the environment was made for by itself, or else the installed one.
     """
     models = models_in(environment)
     if not models:
         return None
     margins = any(bool((model.geom_margin > 0.0).any()) for model in models)
-    return {"mujoco": installed_version(), "contact_margins": (rule or installed_rule()) if margins else "none"}
+    played = rule or _own_rule(environment) or installed_rule()
+    return {"mujoco": installed_version(), "contact_margins": played if margins else "none"}
 
 
 def in_words(simulator: Mapping[str, Any] | None) -> str:

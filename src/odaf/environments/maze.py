@@ -64,12 +64,8 @@ class Maze:
         x, y = position
         return math.floor(len(self.rows) / 2 - y), math.floor(x + len(self.rows[0]) / 2)
 
-    def path(self, start: Cell, goal: Cell) -> list[Cell]:
-        """A shortest path of neighbouring free cells, both ends included; ties go right, left, up, down.
-
-        Raises:
-            ConfigError: no free cells connect the two.
-        """
+    def distances(self, goal: Cell) -> dict[Cell, int]:
+        """Steps to `goal` from every free cell that is connected with it, nearest first."""
         distance = {goal: 0}
         queue = deque([goal])
         while queue:
@@ -78,6 +74,15 @@ class Maze:
                 if self.is_free(neighbour) and neighbour not in distance:
                     distance[neighbour] = distance[cell] + 1
                     queue.append(neighbour)
+        return distance
+
+    def path(self, start: Cell, goal: Cell) -> list[Cell]:
+        """A shortest path of neighbouring free cells, both ends included; ties go right, left, up, down.
+
+        Raises:
+            ConfigError: no free cells connect the two.
+        """
+        distance = self.distances(goal)
         if start not in distance:
             raise ConfigError(f"maze '{self.name}': no free cells connect {start} with {goal} in {self.rows}")
         path = [start]

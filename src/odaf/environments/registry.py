@@ -111,9 +111,11 @@ def point_maze(maze: Maze, steps: int, rule: ContactMargins | None = None) -> "P
 
 
 def _registered(identity: str) -> None:
-    """Raises gymnasium's error where neither it nor gymnasium-robotics knows an environment."""
+    """Raises gymnasium's error where neither it, nor this package, nor gymnasium-robotics knows an environment."""
     import gymnasium
 
+    if identity.startswith("odaf/"):
+        import_module("odaf.environments.gymnasium_ids")
     try:
         gymnasium.spec(identity)
     except gymnasium.error.Error:

@@ -14,6 +14,7 @@ import numpy as np
 from odaf.data.derived import Derivation
 from odaf.data.spec import Spec
 from odaf.environments.contact_margins import ContactMargins, simulator_of
+from odaf.environments.robotics_ant_maze import ORDERS, is_one, reading_of_scores
 from odaf.environments.start_seeds import EVALUATION_SEED_OFFSET
 from odaf.errors import ConfigError
 from odaf.training.policy import Policy
@@ -34,12 +35,14 @@ class Examined:
         ignores_seed: what differs between two resets or steps with one seed, in words; empty where nothing does.
         simulator: what plays it, as `odaf.environments.contact_margins.simulator_of` says.
         derivation: by which policies compute the data's observations from what it gives; None where it gives these.
+        reading: what must be known to read its scores; empty where they say what they seem to.
     """
 
     make_env: Callable[[], Any]
     ignores_seed: str
     simulator: dict[str, Any] | None
     derivation: Derivation | None = None
+    reading: str = ""
 
     def fitting(self, policy: Policy) -> Policy:
         """The policy as it takes what the environment gives."""
@@ -48,7 +51,7 @@ class Examined:
     @property
     def warnings(self) -> dict[str, str]:
         """Sentences for the user about what does not go by itself, by kind."""
-        found = {}
+        found = {"reading-of-scores": self.reading} if self.reading else {}
         if self.derivation is not None and self.derivation.history:
             found["first-steps"] = (
                 f"observations are made of {self.derivation.history} earlier steps, which the first of an episode have "
@@ -101,10 +104,10 @@ def examine(
             second.close()
     finally:
         first.close()
-    applied = derivation if on_readings else None
+    applied, reading = derivation if on_readings else None, reading_of_scores(_identity(first))
     if keys is None:
-        return Examined(make_env, ignores, simulator, applied)
-    return Examined(lambda: JoinedObservations(make_env(), keys), ignores, simulator, applied)
+        return Examined(make_env, ignores, simulator, applied, reading)
+    return Examined(lambda: JoinedObservations(make_env(), keys), ignores, simulator, applied, reading)
 
 
 class JoinedObservations:
@@ -206,6 +209,9 @@ def _start(
         if keys is not None:
             joined = np.concatenate([leaves[key] for key in keys])
             return keys, _vector(joined, name, spec, readings), names is readings
+    for keys in ORDERS if is_one(_identity(environment)) else ():
+        if sum(leaves[key].size for key in keys) == spec.obs_dim:
+            return keys, _vector(np.concatenate([leaves[key] for key in keys]), name, spec, readings), False
     parts = ", ".join(f"{key} [{part.size}]" for key, part in leaves.items())
     of = "" if derivation is None else f" nor do its readings ({', '.join(readings)})"
     raise ConfigError(
@@ -213,6 +219,11 @@ def _start(
         f"({', '.join(observation_names[:4])}{', ...' if len(observation_names) > 4 else ''}) do not say which is "
         f"which{of}; name the data's columns after these entries (goal_0, goal_1, ...), or {_WRAP}, {_WITHOUT}"
     )
+
+
+def _identity(environment: Any) -> str | None:
+    """Gymnasium's id of an environment; None where it has none."""
+    return getattr(getattr(environment, "spec", None), "id", None)
 
 
 def _leaves(observation: Mapping[str, Any], before: str = "") -> dict[str, np.ndarray]:

@@ -16,6 +16,7 @@ import numpy as np
 
 from odaf.environments.contact_margins import ContactMargins, apply, check
 from odaf.environments.registry import make
+from odaf.environments.robotics_ant_maze import evaluation_settings
 from odaf.environments.start_seeds import EVALUATION_SEED_OFFSET, MOST_EPISODES
 from odaf.errors import ConfigError, OdafError
 from odaf.evaluation.examination import reward_of
@@ -223,7 +224,7 @@ class Rollouts:
                 "or train without evaluation"
             )
         if isinstance(environment, str):
-            environment = {"name": "gymnasium", "id": environment, "kwargs": {}}
+            environment = {"name": "gymnasium", "id": environment, "kwargs": {**evaluation_settings(environment)}}
         if not isinstance(environment, Mapping):
             return replace(self, environment=environment)
         rule = {} if self.contact_margins is None else {"contact_margins": self.contact_margins}

@@ -20,6 +20,7 @@ KNOWN_WIDTHS = {
     "Walker2d": (17, 6),
     "AntMaze": (29, 8),
     "antmaze": (29, 8),
+    "odaf/AntMaze": (29, 8),
     "pointmaze": (4, 2),
 }
 
