@@ -37,14 +37,12 @@ def _log():
 
 def _columns(learner):
     dataset = _log()
-    return training_columns(
-        dataset, Normaliser.fit(dataset.observations, learner.view().normaliser_epsilon), learner.drawn_view()
-    )
+    return training_columns(dataset, learner.normaliser(dataset), learner.drawn_view())
 
 
 def _models(learner, seed: int):
     dataset = _log()
-    normaliser = Normaliser.fit(dataset.observations, learner.view().normaliser_epsilon)
+    normaliser = learner.normaliser(dataset)
     return learner.pretrain(dataset, normaliser, loop.pretrain_key(seed), lambda *_: None)
 
 
@@ -156,7 +154,7 @@ def test_a_run_resumes_to_the_bit_and_its_policy_is_saved_and_loaded(kind, tmp_p
 def test_a_policy_is_exported_and_its_form_for_numpy_alone_acts_as_it_does(kind, tmp_path):
     learner, dataset = learners.of_kind(kind), _log()
     low, high = (tuple(end.tolist()) for end in (dataset.action_low, dataset.action_high))
-    normaliser = Normaliser.fit(dataset.observations, learner.view().normaliser_epsilon)
+    normaliser = learner.normaliser(dataset)
     policy = odaf.Policy(learner.actor(_trained(kind)[0]), normaliser, low, high, dataset.observation_names)
     artefact = odaf.export(policy, tmp_path / "out", forms=["numpy"])  # compares them on inputs of all kinds
     checked = artefact.contract["checked"]["policy.safetensors"]

@@ -34,6 +34,18 @@ def test_an_epsilon_is_added_where_it_is_asked_for():
     assert not normaliser.normalise(ROWS)[:, 1].any()
 
 
+def test_one_that_is_not_applied_leaves_what_varies_to_the_bit_and_still_hides_what_does_not():
+    normaliser = Normaliser.fit(ROWS, epsilon=1e-3, applied=False)
+    later = np.array([[0.1, 7.0, -3.3], [2.5, 8.0, 1e9]], np.float32)
+    np.testing.assert_array_equal(normaliser.normalise(later), later * [1, 0, 1])
+    np.testing.assert_array_equal(
+        normaliser.denormalise(later), [[np.float32(0.1), 7.0, np.float32(-3.3)], [2.5, 7.0, 1e9]]
+    )
+    np.testing.assert_allclose(normaliser.std, STD, rtol=1e-6)  # what is measured in spreads of the log still can be
+    stored = json.loads(json.dumps(normaliser.to_dict()))
+    np.testing.assert_array_equal(Normaliser.from_dict(stored).normalise(later), normaliser.normalise(later))
+
+
 @given(st.integers(-12, 12), st.floats(1, 10), st.integers(0, 2**32 - 1))
 def test_units_do_not_matter(power, digits, seed):
     """The same rows in another unit are the same to the learner; so are rows of a sensor that hardly or never moves."""

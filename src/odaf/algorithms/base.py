@@ -12,7 +12,7 @@ from odaf.algorithms.citations import Citation
 from odaf.components.critics import CriticEnsemble
 from odaf.components.policies import Actor
 from odaf.data.dataset import Dataset
-from odaf.data.normalisation import Normaliser
+from odaf.data.normalisation import Normaliser, ObservationScaling
 from odaf.data.row_choice import RowChoice
 from odaf.data.sampling import Columns, sample
 from odaf.data.spec import Spec
@@ -33,13 +33,15 @@ class LearnerState(eqx.Module):
 State = TypeVar("State", bound=LearnerState)
 
 
-class Algorithm(RowChoice, abc.ABC, Generic[State]):
+class Algorithm(RowChoice, ObservationScaling, abc.ABC, Generic[State]):
     """A learner's settings (a frozen dataclass) and its pure functions.
 
-    It has the settings of `odaf.data.row_choice.RowChoice` beside its own: how the rows of batches are chosen.
+    It has the settings of `odaf.data.row_choice.RowChoice` beside its own, how the rows of batches are chosen, and of
+    `odaf.data.normalisation.ObservationScaling`.
 
-    The loop calls, in this order: `view`, `pretrain`, `init`, then `refresh`, `batch` and `update` inside compiled
-    stretches, and `actor` for evaluation. Observations are normalised and actions scaled to [-1, 1] everywhere in here.
+    The loop calls, in this order: `normaliser`, `view`, `pretrain`, `init`, then `refresh`, `batch` and `update` inside
+    compiled stretches, and `actor` for evaluation. Observations are normalised and actions scaled to [-1, 1] everywhere
+    in here.
 
     Settings that are floating-point numbers other than 0 are traced: inside compiled code they are arrays, so that
     learners that differ in them alone share one program. A number that is exactly 0 switches its part off and is part
@@ -87,6 +89,14 @@ class Algorithm(RowChoice, abc.ABC, Generic[State]):
                 "critic_sampling='same', or a learner whose critics can draw apart, such as td3-bc or iql"
             )
         return dataclasses.replace(self.view(), choice=choice)
+
+    def normaliser(self, dataset: Dataset) -> Normaliser:
+        """How observations are scaled for this log.
+
+        Raises:
+            ConfigError: observation_scaling is not known.
+        """
+        return self.normaliser_of(dataset.observations, self.view().normaliser_epsilon)
 
     def sizes(self, spec: Spec) -> tuple[int, ...]:
         """Whatever of a data set, its widths apart, decides shapes of the state; lanes of one program agree in it."""

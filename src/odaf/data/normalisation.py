@@ -2,11 +2,11 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
-from odaf.errors import DatasetError
+from odaf.errors import ConfigError, DatasetError
 
 _PIECE = 65_536  # rows
 _ROUNDING = 2.0**-24  # half a unit in the last place of single precision, relative
@@ -31,12 +31,14 @@ class Normaliser:
         std: [obs_dim] float32, the plain standard deviation (divisor N), without `epsilon`.
         epsilon: added to `std`, in the user's units; many papers add 1e-3.
         constant: the columns that never varied, by number.
+        applied: whether observations are shifted and scaled by these; if not, only constant columns read as 0.
     """
 
     mean: np.ndarray
     std: np.ndarray
     epsilon: float = 0.0
     constant: tuple[int, ...] = ()
+    applied: bool = True
 
     def __post_init__(self):
         mean = np.array(self.mean, np.float32)
@@ -57,17 +59,27 @@ class Normaliser:
             object.__setattr__(self, name, value)
 
     @property
+    def shift(self) -> np.ndarray:
+        """[obs_dim] float32, what a learner's 0 is in the user's units: `mean`, or 0 where none is applied; in constant
+        columns always their value."""
+        shift = self.mean if self.applied else np.zeros_like(self.mean)
+        shift = shift.copy()
+        shift[list(self.constant)] = self.mean[list(self.constant)]
+        return shift
+
+    @property
     def scale(self) -> np.ndarray:
-        """[obs_dim] float32, what a learner's unit is in the user's: `std + epsilon`; infinite in constant columns."""
+        """[obs_dim] float32, what a learner's unit is in the user's: `std + epsilon`, or 1 where none is applied;
+        infinite in constant columns."""
         return self._scale(np.inf)
 
     def _scale(self, of_constants: float) -> np.ndarray:
-        scale = self.std + np.float32(self.epsilon)
+        scale = self.std + np.float32(self.epsilon) if self.applied else np.ones_like(self.std)
         scale[list(self.constant)] = of_constants
         return scale
 
     @classmethod
-    def fit(cls, observations: np.ndarray, epsilon: float = 0.0) -> "Normaliser":
+    def fit(cls, observations: np.ndarray, epsilon: float = 0.0, applied: bool = True) -> "Normaliser":
         """Mean and standard deviation of the rows of `observations` [rows, obs_dim], summed in double precision.
 
         A column counts as constant if its standard deviation is no larger than what rounding to single precision can
@@ -77,6 +89,7 @@ class Normaliser:
         Args:
             observations: the rows, in the user's units.
             epsilon: added to the standard deviations, in the user's units.
+            applied: False measures both and leaves observations as they are, but for constant columns.
         """
         if np.ndim(observations) != 2 or len(observations) == 0:
             raise DatasetError(
@@ -90,7 +103,7 @@ class Normaliser:
             largest = np.maximum(largest, np.abs(piece).max(axis=0))
         std = np.sqrt(squares / len(observations))
         constant = np.flatnonzero(std <= _ROUNDING * largest)
-        return cls(mean=mean, std=std, epsilon=epsilon, constant=tuple(constant.tolist()))
+        return cls(mean=mean, std=std, epsilon=epsilon, constant=tuple(constant.tolist()), applied=applied)
 
     @classmethod
     def identity(cls, obs_dim: int) -> "Normaliser":
@@ -99,13 +112,13 @@ class Normaliser:
 
     def normalise(self, observations: Numbers) -> Numbers:
         """User's units to learner's; the last axis is `obs_dim`."""
-        shifted = observations - _aligned(self.mean, observations)  # type: ignore
+        shifted = observations - _aligned(self.shift, observations)  # type: ignore
         shifted /= _aligned(self.scale, observations)  # in place where that is possible: the rows may be many
         return shifted
 
     def denormalise(self, observations: Numbers) -> Numbers:
         """Learner's units to the user's; a column that never varied takes its logged value."""
-        return observations * _aligned(self._scale(0.0), observations) + _aligned(self.mean, observations)  # type: ignore
+        return observations * _aligned(self._scale(0.0), observations) + _aligned(self.shift, observations)  # type: ignore
 
     def to_dict(self) -> dict[str, Any]:
         """Plain JSON types; `from_dict` restores the same bits."""
@@ -114,6 +127,7 @@ class Normaliser:
             "std": self.std.tolist(),
             "epsilon": self.epsilon,
             "constant": list(self.constant),
+            **({} if self.applied else {"applied": False}),
         }
 
     @classmethod
@@ -124,7 +138,33 @@ class Normaliser:
             np.asarray(fields["std"]),
             float(fields["epsilon"]),
             tuple(fields.get("constant", ())),
+            bool(fields.get("applied", True)),
         )
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObservationScaling:
+    """How a learner sees observations; every learner has this setting."""
+
+    observation_scaling: Literal["standard", "none"] = "standard"
+    """"standard" shifts each column by its mean in the log and divides it by its standard deviation there; "none" leaves
+    columns that vary in the log's units."""
+
+    def normaliser_of(self, observations: np.ndarray, epsilon: float = 0.0) -> Normaliser:
+        """The map for these rows.
+
+        Args:
+            observations: [rows, obs_dim], in the user's units.
+            epsilon: added to the standard deviations, in the user's units.
+
+        Raises:
+            ConfigError: the setting is not known.
+        """
+        if self.observation_scaling not in ("standard", "none"):
+            raise ConfigError(
+                f"observation_scaling={self.observation_scaling!r} is not known; known are 'standard', 'none'"
+            )
+        return Normaliser.fit(observations, epsilon, applied=self.observation_scaling == "standard")
 
 
 def scale_actions(actions: Numbers, low, high) -> Numbers:

@@ -224,7 +224,7 @@ def _score_of(
     score = GuardScore(
         outcome=made.outcome,
         critics=made.critics,
-        mean=jnp.asarray(policy.normaliser.mean),
+        mean=jnp.asarray(policy.normaliser.shift),
         inverse_scale=jnp.asarray(1.0 / policy.normaliser.scale, jnp.float32),
         centre=jnp.asarray(centre, jnp.float32),
         half_width=jnp.asarray(np.maximum(half, SMALLEST), jnp.float32),

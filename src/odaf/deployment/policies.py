@@ -222,7 +222,7 @@ def _normalised(build: Builder, policy: Policy, observation: Value) -> Value:
     """(observation - mean) / scale, and 0 in columns that never varied."""
     normaliser = policy.normaliser
     constant = np.isin(np.arange(policy.obs_dim), normaliser.constant)
-    shifted = build("subtract", observation, build.parameter("normaliser/mean", normaliser.mean))
+    shifted = build("subtract", observation, build.parameter("normaliser/mean", normaliser.shift))
     scale = np.where(constant, np.float32(1.0), normaliser.scale)
     scaled = build("divide", shifted, build.parameter("normaliser/scale", scale))
     if constant.any():

@@ -120,4 +120,4 @@ class Beside:
 
 
 def _scaling(normaliser: Normaliser) -> dict[str, np.ndarray]:
-    return {"mean": normaliser.mean, "scale": normaliser.scale}
+    return {"mean": normaliser.shift, "scale": normaliser.scale}

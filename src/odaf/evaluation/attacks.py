@@ -107,7 +107,7 @@ class Judge(eqx.Module):
                 f"{run.path}: an attack that asks critics needs a run that has some, and the learner "
                 f"'{run.algorithm.kind}' has none; name one that has (--attacker DIR), or attack at random"
             )
-        mean, scale = jnp.asarray(run.normaliser.mean), jnp.asarray(run.normaliser.scale)
+        mean, scale = jnp.asarray(run.normaliser.shift), jnp.asarray(run.normaliser.scale)
         return cls(critics, mean, scale, run.spec.action_low, run.spec.action_high)
 
     def values(
@@ -185,7 +185,7 @@ def threat_model(policy: Policy, attack: Attack, judge: Judge | None = None) -> 
             )
         _check_same_task(policy, judge)
     normaliser = policy.normaliser
-    return AttackedActor(policy.actor, jnp.asarray(normaliser.mean), jnp.asarray(normaliser.scale)), judge
+    return AttackedActor(policy.actor, jnp.asarray(normaliser.shift), jnp.asarray(normaliser.scale)), judge
 
 
 def _check_same_task(policy: Policy, judge: Judge) -> None:

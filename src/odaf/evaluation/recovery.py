@@ -1,6 +1,6 @@
 """How long a policy takes to come back to where the log has been."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -53,6 +53,9 @@ class KnownGround:
             raise DatasetError(
                 "the log has one episode; a known ground needs two or more, one to measure the others by"
             )
+        normaliser = replace(
+            normaliser, applied=True
+        )  # distances weigh columns by their spread, whatever a learner sees
         random = np.random.default_rng(seed)
         held = random.permutation(dataset.num_episodes)[: max(round(_HELD_SHARE * dataset.num_episodes), 1)]
         is_held = np.repeat(np.isin(np.arange(dataset.num_episodes), held), dataset.episode_lengths())

@@ -12,7 +12,6 @@ from odaf.algorithms.config import checked
 from odaf.algorithms.registry import register_parts
 from odaf.components.critics import usable_cores
 from odaf.data.dataset import Dataset
-from odaf.data.normalisation import Normaliser
 from odaf.errors import ConfigError
 from odaf.training import checkpoints, run_writing
 from odaf.training.data_search import check_same_data, find_data
@@ -121,7 +120,7 @@ def open_run(
     register_parts(algorithm)
     algorithm = checked(algorithm)
     path, evaluate = Path(directory), _evaluator(settings)
-    normaliser = Normaliser.fit(dataset.observations, algorithm.view().normaliser_epsilon)
+    normaliser = algorithm.normaliser(dataset)
     data = run_writing.data_record(dataset, normaliser, data_path, path) | drawn_rows(algorithm, dataset)
     config = run_writing.config_record(algorithm, settings, preset, advice)
     run_writing.refuse_foreign(path)

@@ -326,7 +326,7 @@ class Policy:
         """What the compiled step takes: a plain tuple of arrays on the device is the quickest to hand over."""
         return (
             *map(jnp.asarray, jax.tree.leaves(self.actor)),
-            jnp.asarray(self.normaliser.mean),
+            jnp.asarray(self.normaliser.shift),
             jnp.asarray(self.normaliser.scale),
         )
 

@@ -182,7 +182,7 @@ def _scaled(model: TransitionEnsemble, columns: Columns, train: int, normaliser:
     """The model that knows the spread of its inputs in the rows to train on, and the user's units."""
     mean, std = _moments(columns[0], columns[1], jnp.asarray(train))
     unit = np.where(np.isfinite(normaliser.scale), normaliser.scale, np.float32(1.0))
-    scaling = mean, std, jnp.asarray(normaliser.mean, jnp.float32), jnp.asarray(unit, jnp.float32)
+    scaling = mean, std, jnp.asarray(normaliser.shift, jnp.float32), jnp.asarray(unit, jnp.float32)
     return eqx.tree_at(lambda m: (m.input_mean, m.input_std, m.centre, m.unit), model, scaling)
 
 
