@@ -23,6 +23,7 @@ from odaf.data.sampling import WeightedColumns, training_column_shapes, training
 from odaf.deployment import odaf_policy
 from odaf.errors import ConfigError
 from odaf.training import loop
+from odaf.training.averaging import learner_state
 from odaf.training.monitors import DivergenceMonitor
 from odaf.training.run_directory import blank_state
 
@@ -173,19 +174,22 @@ def test_rows_drawn_by_return_train_the_same_bits_however_it_is_cut(kind):
     """Where critics can draw apart, they do: until the actor has stepped they are those of a run on all rows alike."""
     plain = learners.of_kind(kind)
     apart = "uniform" if plain.draws_apart else "same"
-    learner = dataclasses.replace(plain, sampling="return", return_temperature=0.5, critic_sampling=apart)
+    learner = dataclasses.replace(
+        plain, sampling="return", return_temperature=0.5, critic_sampling=apart, averaged_updates=2
+    )
     assert isinstance(_columns(learner), WeightedColumns)
     whole, _ = _train(learner, 3, _first(learner, 3), 0, 4)
     cut, _ = _train(learner, 3, loop.donatable(_train(learner, 3, _first(learner, 3), 0, 2)[0]), 2, 4)
     tiny.assert_same_bits(whole, cut)
+    assert jax.tree.structure(whole.average) == jax.tree.structure(learner.actor(whole.learner))
     if not plain.draws_apart:
         with pytest.raises(ConfigError, match=f"critic_sampling='uniform': {kind} learns all it learns from one batch"):
             dataclasses.replace(learner, critic_sampling="uniform").drawn_view()
         return
-    first = [_train(each, 3, _first(each, 3), 0, 1)[0] for each in (learner, plain)]
+    first = [learner_state(_train(each, 3, _first(each, 3), 0, 1)[0]) for each in (learner, plain)]
     for ours, theirs in zip(*(jax.tree.leaves(learner.values(state)) for state in first), strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-5, atol=1e-7)
-    actors = [jax.tree.leaves(learner.actor(state)) for state in (whole, _trained(kind)[0])]
+    actors = [jax.tree.leaves(learner.actor(state)) for state in (whole.learner, _trained(kind)[0])]
     assert any(float(jnp.abs(ours - theirs).max()) > 1e-5 for ours, theirs in zip(*actors, strict=True))
 
 

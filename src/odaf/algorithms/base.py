@@ -33,11 +33,17 @@ class LearnerState(eqx.Module):
 State = TypeVar("State", bound=LearnerState)
 
 
-class Algorithm(RowChoice, ObservationScaling, abc.ABC, Generic[State]):
-    """A learner's settings (a frozen dataclass) and its pure functions.
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class CommonSettings(RowChoice, ObservationScaling):
+    """What every learner can be told: which rows batches hold, how observations are scaled, and what is deployed."""
 
-    It has the settings of `odaf.data.row_choice.RowChoice` beside its own, how the rows of batches are chosen, and of
-    `odaf.data.normalisation.ObservationScaling`.
+    averaged_updates: int = 0
+    """H, over about how many of its last updates the deployed policy averages the actor's parameters, for a policy that
+    does not swing with each; 0 deploys the actor itself. The learner does not see the average."""
+
+
+class Algorithm(CommonSettings, abc.ABC, Generic[State]):
+    """A learner's settings (a frozen dataclass, those of `CommonSettings` among them) and its pure functions.
 
     The loop calls, in this order: `normaliser`, `view`, `pretrain`, `init`, then `refresh`, `batch` and `update` inside
     compiled stretches, and `actor` for evaluation. Observations are normalised and actions scaled to [-1, 1] everywhere

@@ -147,8 +147,8 @@ class ObservationScaling:
     """How a learner sees observations; every learner has this setting."""
 
     observation_scaling: Literal["standard", "none"] = "standard"
-    """"standard" shifts each column by its mean in the log and divides it by its standard deviation there; "none" leaves
-    columns that vary in the log's units."""
+    """"standard" gives each column mean 0 and standard deviation 1 in the log; "none" leaves columns that vary in the
+    log's units."""
 
     def normaliser_of(self, observations: np.ndarray, epsilon: float = 0.0) -> Normaliser:
         """The map for these rows.

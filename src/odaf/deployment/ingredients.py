@@ -15,6 +15,7 @@ from odaf.components.policies import Actor
 from odaf.data.dataset import Dataset
 from odaf.deployment.values import fit_critics
 from odaf.errors import ConfigError
+from odaf.training.averaging import learner_state
 from odaf.training.policy import Policy
 
 
@@ -138,7 +139,7 @@ def ingredients(
 
 
 def _own_critics(algorithm: Any, state: Any) -> CriticEnsemble | None:
-    critics = algorithm.values(state)
+    critics = algorithm.values(learner_state(state))
     return critics if critics is not None and critics.networks.weights[0].shape[0] > 1 else None
 
 

@@ -33,6 +33,7 @@ from odaf.components.distributions import symmetric_gaussian_divergence
 from odaf.components.perturbations import draw_offsets
 from odaf.components.policies import Actor, SquashedGaussianActor
 from odaf.errors import ConfigError
+from odaf.training.averaging import learner_state
 from odaf.training.policy import Policy
 from odaf.training.run_directory import RunDirectory
 
@@ -101,7 +102,7 @@ class Judge(eqx.Module):
             CheckpointError: there is no such checkpoint.
             ConfigError: the learner has no critics.
         """
-        critics = run.algorithm.values(run.state(seed, step))
+        critics = run.algorithm.values(learner_state(run.state(seed, step)))
         if critics is None:
             raise ConfigError(
                 f"{run.path}: an attack that asks critics needs a run that has some, and the learner "

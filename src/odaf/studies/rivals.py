@@ -25,6 +25,8 @@ Method = tuple[str, tuple[tuple[str, Any], ...]]
 
 BY_RETURN: tuple[tuple[str, Any], ...] = (("sampling", "return"),)
 UNIFORM: tuple[tuple[str, Any], ...] = (("sampling", "uniform"),)
+# The policy is an average of the actor; tried on a mixture of another seed.
+AVERAGED: tuple[tuple[str, Any], ...] = (("averaged_updates", 5_000),)
 # Cheap ones first.
 LEARNERS: tuple[str, ...] = (
     "behaviour-cloning",
@@ -46,6 +48,7 @@ LEARNERS: tuple[str, ...] = (
 MIXTURE: tuple[Method, ...] = (
     ("behaviour-cloning-best", ()),
     ("rebrac-return", ()),
+    ("rebrac-return", AVERAGED),
     ("behaviour-cloning", ()),
     ("rebrac-return", UNIFORM),
     ("td3-bc", BY_RETURN),

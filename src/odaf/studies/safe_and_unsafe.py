@@ -131,9 +131,11 @@ def scores_of(run: "RunDirectory", seed: int, draws: np.ndarray) -> np.ndarray:
 
     from odaf.components.policies import SquashedGaussianActor
     from odaf.evaluation.outcome_score import outcome_uncertainty
+    from odaf.training import averaging
 
     state = run.state(seed)
-    critics, actor = run.algorithm.values(state), run.algorithm.actor(state)
+    critics = run.algorithm.values(averaging.learner_state(state))
+    actor = averaging.deployed_actor(run.algorithm, state)
     assert critics is not None and isinstance(actor, SquashedGaussianActor)
     return np.mean([outcome_uncertainty(critics, actor, each, jr.key(seed)) for each in draws], axis=0)
 
@@ -141,8 +143,9 @@ def scores_of(run: "RunDirectory", seed: int, draws: np.ndarray) -> np.ndarray:
 def without_outcomes(run: "RunDirectory", seed: int, states: np.ndarray, sides: Sides) -> Sides:
     """The critics' disagreement at the actions themselves; `states` in normalised units."""
     from odaf.evaluation.outcome_score import action_uncertainty
+    from odaf.training.averaging import learner_state
 
-    critics = run.algorithm.values(run.state(seed))
+    critics = run.algorithm.values(learner_state(run.state(seed)))
     assert critics is not None
     return {name: action_uncertainty(critics, states, actions) for name, actions in sides.items()}
 

@@ -14,6 +14,7 @@ from odaf.components.critics import usable_cores
 from odaf.data.dataset import Dataset
 from odaf.errors import ConfigError
 from odaf.training import checkpoints, run_writing
+from odaf.training.averaging import require_horizon
 from odaf.training.data_search import check_same_data, find_data
 from odaf.training.drawn_rows import DRAWN, drawn_rows, in_words
 from odaf.training.evaluator import Evaluator
@@ -119,6 +120,7 @@ def open_run(
     """
     register_parts(algorithm)
     algorithm = checked(algorithm)
+    require_horizon(algorithm)
     path, evaluate = Path(directory), _evaluator(settings)
     normaliser = algorithm.normaliser(dataset)
     data = run_writing.data_record(dataset, normaliser, data_path, path) | drawn_rows(algorithm, dataset)

@@ -23,6 +23,7 @@ from odaf.data.sampling import Columns, Slab, WeightedColumns
 from odaf.data.spec import Spec
 from odaf.data.transitions import Transitions
 from odaf.errors import ConfigError
+from odaf.training import averaging
 
 # First row and number of rows of each lane's data set.
 Slabs = tuple[Int[Array, " lanes"], Int[Array, " lanes"]]
@@ -58,7 +59,7 @@ def first_state(algorithm: Algorithm, spec: Spec, seed_key: PRNGKeyArray, models
 
 @eqx.filter_jit
 def _first_state(structure: Algorithm, numbers: Numbers, spec: Spec, seed_key: PRNGKeyArray, models: Any) -> Any:
-    return joined(structure, numbers).init(seed_key, spec, models)
+    return averaging.begin(joined(structure, numbers), seed_key, spec, models)
 
 
 def donatable(state: Any) -> Any:
@@ -277,7 +278,8 @@ def _stretch(
 ) -> tuple[Any, dict[str, Array]]:
     def refreshed(state: Any, step: Int[Array, ""]) -> Any:
         key_refresh = jr.fold_in(jr.fold_in(key, _REFRESH), step)
-        return jax.tree.map(_strong, algorithm.refresh(state, columns, key_refresh))
+        learner = algorithm.refresh(averaging.learner_state(state), columns, key_refresh)
+        return jax.tree.map(_strong, averaging.with_learner(state, learner))
 
     @jax.jit  # so that it is traced once for both of its uses
     def update(state: Any, step: Int[Array, ""]) -> tuple[Any, dict[str, Array]]:
@@ -285,12 +287,12 @@ def _stretch(
         if algorithm.refresh_every:
             is_due = step % algorithm.refresh_every == 0
             state = jax.lax.cond(is_due, refreshed, lambda state, _: state, state, step)
-        batch = algorithm.batch(state, columns, key_sample)
+        batch = algorithm.batch(averaging.learner_state(state), columns, key_sample)
         if padding is not None:
             batch = batch.with_padding(padding)
         if mesh is not None:
             batch = jax.lax.with_sharding_constraint(batch, NamedSharding(mesh, PartitionSpec(_BATCH)))
-        after, metrics = algorithm.update(state, batch, key_update)
+        after, metrics = averaging.advanced(algorithm, state, batch, key_update)
         metrics = {name: jnp.asarray(value).astype(jnp.float32) for name, value in metrics.items()}
         after = jax.tree.map(_strong, after)
         if mesh is not None:

@@ -25,7 +25,7 @@ from odaf.data.derived import Derivation
 from odaf.data.normalisation import Normaliser
 from odaf.data.spec import Spec
 from odaf.errors import CheckpointError, ConfigError
-from odaf.training import checkpoints, logging
+from odaf.training import averaging, checkpoints, logging
 from odaf.training.checkpoints import Checkpoint
 from odaf.training.files import read_arrays, read_json
 from odaf.training.logging import Series
@@ -202,7 +202,7 @@ class RunDirectory:
         fields = ("observation_names", "action_names", "observation_units", "action_units")
         columns = {field: tuple(self.data["summary"].get(field, ())) for field in fields}
         return Policy(
-            self.algorithm.actor(state),
+            averaging.deployed_actor(self.algorithm, state),
             self.normaliser,
             self.spec.action_low,
             self.spec.action_high,
@@ -280,6 +280,6 @@ def blank_state(algorithm: Algorithm, spec: Spec) -> Any:
 
     def build(key):
         key_models, key_init = jr.split(key)
-        return algorithm.init(key_init, spec, algorithm.untrained(key_models, spec))
+        return averaging.begin(algorithm, key_init, spec, algorithm.untrained(key_models, spec))
 
     return eqx.filter_eval_shape(build, jr.key(0))
