@@ -1,6 +1,7 @@
 """The average of the actor: by hand, however a run is cut, in lanes, and in all that asks a run for its policy."""
 
 import dataclasses
+from typing import Any
 
 import jax
 import numpy as np
@@ -12,7 +13,7 @@ from odaf.errors import ConfigError
 from odaf.training import loop
 from odaf.training.averaging import AveragedState, deployed_actor, learner_state
 
-QUIET = {"stretch": 2, "progress": False, "keep_checkpoints": "all"}
+QUIET: dict[str, Any] = {"stretch": 2, "progress": False, "keep_checkpoints": "all"}
 HORIZON = 3
 
 

@@ -1,6 +1,7 @@
 """A learner that sees observations in the log's units: training, resuming, acting, exporting and recovering."""
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from odaf.deployment import odaf_policy
 from odaf.errors import ConfigError
 from odaf.evaluation.recovery import KnownGround
 
-QUIET = {"checkpoint_every": 2, "stretch": 2, "progress": False}
+QUIET: dict[str, Any] = {"checkpoint_every": 2, "stretch": 2, "progress": False}
 
 
 @pytest.fixture
@@ -52,9 +53,9 @@ def test_an_exported_policy_acts_so_too(tiny, tmp_path):
     odaf.export(trained.policy(0), tmp_path / "out", forms=["numpy"])
     carried = odaf_policy.Policy(tmp_path / "out" / "policy.safetensors")
     carried.begin()
-    np.testing.assert_allclose(
-        carried.act(dataset.observations[0]), trained.policy(0)(dataset.observations[0]), atol=1e-5
-    )
+    action = carried.act(dataset.observations[0])
+    assert action is not None
+    np.testing.assert_allclose(action, trained.policy(0)(dataset.observations[0]), atol=1e-5)
 
 
 def test_distances_from_the_log_count_in_spreads_all_the_same(tiny):
