@@ -4,6 +4,7 @@ from pathlib import Path
 
 from benchmarks import (
     acting,
+    ant_mazes,
     first_update,
     fitted_q,
     import_table,
@@ -21,6 +22,7 @@ if __name__ == "__main__":
         import_table,
         load_dataset,
         acting,
+        ant_mazes,
         fitted_q,
         rollouts,
     ):

@@ -45,6 +45,16 @@ def test_an_attack_prints_writes_and_draws_its_curve(run: Path, tmp_path: Path, 
     assert "run under min-q-first-order" in picture.read_text() and str(picture) in out
 
 
+def test_success_in_an_ant_maze_is_the_normalised_score(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    environment = {"name": "gymnasium", "id": "odaf/AntMaze-UMaze-v0", "kwargs": {}, "max_episode_steps": 3}
+    learner = EnsembleSAC(num_critics=2, hidden_sizes=(4,))
+    run = untrained_run(tmp_path / "run", learner, dataset_of(29, 8, environment), seeds=(0,))
+    assert main(["evaluate", str(run), "--episodes", "2"]) == 0
+    out = capsys.readouterr().out
+    assert "odaf/AntMaze-UMaze-v0: normalised score 0.0 (0 never at the goal, 100 always), raw return 0.0" in out
+    assert "success" in out and "the larger contact margin counted" in out
+
+
 def test_without_eps_the_published_budgets_and_ten_episodes_are_played(run: Path, tmp_path: Path):
     file = tmp_path / "curve.json"
     assert main(["evaluate", str(run), "--attack", "random", "--json", str(file)]) == 0
