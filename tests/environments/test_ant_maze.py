@@ -193,7 +193,7 @@ def test_settings_are_json_and_pickled_environments_start_alike():
         one.reset(seed=4)
     np.testing.assert_array_equal(environment.step(STILL)[0], other.step(STILL)[0])
     with pytest.raises(ConfigError, match="ant maze: mode is 'training'; give 'evaluation' or 'collection'"):
-        AntMaze("umaze", mode="training")  # type: ignore[arg-type]
+        AntMaze("umaze", mode="training")
 
 
 def test_margins_are_those_of_the_public_data_unless_another_rule_is_asked_for():
@@ -213,4 +213,4 @@ def test_margins_are_those_of_the_public_data_unless_another_rule_is_asked_for()
     assert margins("larger", contact_margins="added") == (0.005, "larger")
     assert margins(contact_margins=None) == (0.01, "added")
     with pytest.raises(ConfigError, match="contact_margins='both'"):
-        AntMaze("umaze", contact_margins="both")  # type: ignore[arg-type]
+        AntMaze("umaze", contact_margins="both")

@@ -1,7 +1,7 @@
 """An ant in a maze: D4RL's AntMaze (Fu et al. 2020), for the MuJoCo that is installed today."""
 
 import math
-from typing import Any, Literal, get_args
+from typing import Any
 
 import gymnasium
 import mujoco
@@ -10,7 +10,6 @@ import numpy as np
 from odaf.environments import contact_margins as margins
 from odaf.environments.ant_maze_map import AntMazeMap
 from odaf.environments.ant_maze_model import TORQUE, ant_model
-from odaf.environments.contact_margins import ContactMargins
 from odaf.environments.maze import Cell
 from odaf.errors import ConfigError
 
@@ -24,7 +23,7 @@ FRAME_SKIP = 5
 _POSE_NOISE, _START_NOISE = 0.1, 1.0
 _GOAL_NOISE = 1.0, 0.5
 
-Mode = Literal["evaluation", "collection"]
+MODES = ("evaluation", "collection")
 
 
 class AntMaze(gymnasium.Env, gymnasium.utils.EzPickle):
@@ -50,14 +49,14 @@ class AntMaze(gymnasium.Env, gymnasium.utils.EzPickle):
     def __init__(
         self,
         maze: Any,
-        mode: Mode = "evaluation",
+        mode: str = "evaluation",
         random_start: bool = False,
-        contact_margins: ContactMargins | None = "larger",
+        contact_margins: str | None = "larger",
     ):
         """
         Args:
             maze: a name in `ANT_MAZES`, or rows of your own, see `AntMazeMap.of`.
-            mode: whether the goal ends an episode.
+            mode: "evaluation", where the goal ends an episode, or "collection", where it does not.
             random_start: whether episodes begin anywhere, as in most of D4RL's data, or in the start's cell.
             contact_margins: how MuJoCo counts the margins of two parts that touch; "larger" is the body of D4RL's data
                 with any version, "added" that of MuJoCo 3.5.0 and newer, None the one of the installed version.
@@ -66,12 +65,13 @@ class AntMaze(gymnasium.Env, gymnasium.utils.EzPickle):
             ConfigError: the map makes no maze, or there is no such mode or rule.
         """
         gymnasium.utils.EzPickle.__init__(self, maze, mode, random_start, contact_margins)
-        if mode not in get_args(Mode):
+        if mode not in MODES:
             raise ConfigError(f"ant maze: mode is {mode!r}; give 'evaluation' or 'collection'")
         self.maze, self.mode, self.random_start = AntMazeMap.of(maze), mode, bool(random_start)
         self.model = ant_model(self.maze)
-        margins.set_rule(self.model, margins.check(contact_margins))
-        self.contact_margins = contact_margins or margins.installed_rule()
+        rule = margins.check(contact_margins)
+        margins.set_rule(self.model, rule)
+        self.contact_margins = rule or margins.installed_rule()
         self.data = _MjData(self.model)
         # Views of the simulator's memory, valid for its life.
         self._qpos, self._qvel, self._torques = self.data.qpos, self.data.qvel, self.data.ctrl

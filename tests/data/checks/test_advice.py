@@ -188,7 +188,7 @@ def test_the_advice_names_its_reasons_in_the_logs_numbers():
     )
     assert "4 of 404 episodes, 20.0% of the rows, have a return of at least 34" in advice.why
     text = str(advice)
-    assert "behaviour-cloning (the bar to pass), td3-bc --sampling return" in text
+    assert "behaviour-cloning (the bar to pass), rebrac-return --averaged-updates 5000" in text
     assert "train `odaf` too" in text and max(map(len, text.splitlines())) <= 110
     json.dumps(advice.to_dict(), allow_nan=False)
     assert advice.to_dict()["statistics"]["good_episodes"] == 4
@@ -210,7 +210,7 @@ def test_measured_numbers_are_those_of_the_records():
 
     support = {case.name: case.support for case in CASES}
     assert f"{seeds('behaviour-cloning-best')} by seed" in support["few-far-better"]
-    assert seeds("td3-bc-sampling-return") in support["few-far-better"]
+    assert seeds("rebrac-return-averaged_updates-5000") in support["few-far-better"]
     assert seeds("behaviour-cloning") == "2 to 2" and "cloning all rows 2:" in support["few-far-better"]
     assert f"earned {seeds('td3-bc-sampling-return')} by seed" in support["broad"]
     assert f"{seeds('td3-bc')} on rows drawn alike" in support["broad"]
