@@ -142,6 +142,11 @@ def test_no_more_is_called_the_best_than_is_good(returns, lengths, settings):
         assert advice.case == "better-half" and "best_share" not in advice.settings
 
 
+def test_a_fifth_and_a_little_more_is_still_a_few():
+    advice = advice_of(poor(4, length=510))
+    assert advice.statistics.good_rows > 0.2 and advice.case == "few-far-better"
+
+
 def test_a_row_is_compared_where_the_recorder_decided_how_long_an_episode_is():
     lengths = 60 + np.arange(60)
     per_row = 1.0 + 0.05 * normal(0.0, 1.0, 60)
@@ -222,6 +227,8 @@ def test_a_report_ends_with_advice_and_one_with_errors_has_none(tmp_path: Path):
     spoiled = healthy.columns()["rewards"]
     spoiled[4] = np.nan
     assert check_log(healthy.log({"rewards": spoiled})).advice is None
+    outside = check_log(healthy.log({"actions": 3.0 * healthy.columns()["actions"]}))  # an error, and all is finite
+    assert not outside.usable and outside.advice is None
     log = odaf.Dataset.from_log(healthy.log())
     log.save(tmp_path / "log.h5")
     assert odaf.advise(log) == odaf.advise(tmp_path / "log.h5")

@@ -10,13 +10,15 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from odaf.data.checks.log_statistics import LogStatistics
-from odaf.data.checks.parting import FEWEST_COMPARED, MOST_GOOD
+from odaf.data.checks.parting import FEWEST_COMPARED
 
 # Where a threshold has no other source it is a round number set beforehand; none was fitted to scores.
 FEW_ROWS = 10_000
 """Forty batches of 256: "some thousands" in docs/choosing.md."""
 ANSWERS = 1e-3
 """Share of the actions' variance: less is rounding of a linear controller, and no log of ours comes near it."""
+FEW = 0.25
+"""Share of the rows that is still a few: the measured fifth, and room for what is left out as fragments."""
 FORETOLD = 0.5
 """Where the start says most of the variance, the best returns are the best starts."""
 SPARSE = 0.05
@@ -175,16 +177,21 @@ def _by_return(log: LogStatistics) -> dict[str, Any]:
 
 
 def _few_far_better(log: LogStatistics) -> bool:
-    return log.good_episodes > 0 and log.good_rows <= MOST_GOOD and not log.goals and log.start_says < FORETOLD
+    return log.good_episodes > 0 and log.good_rows <= FEW and not log.goals and log.start_says < FORETOLD
 
 
 def _whole_ways(log: LogStatistics) -> bool:
     """A small problem in which a large part of the log does alike well and nothing ends an episode early."""
-    return _is_small(log) and log.terminated == 0.0 and log.good_rows > MOST_GOOD
+    return _is_small(log) and log.terminated == 0.0 and log.good_rows > FEW
 
 
 def _is_small(log: LogStatistics) -> bool:
     return log.columns + log.actions <= SMALL_PROBLEM
+
+
+def _size(log: LogStatistics) -> str:
+    """How large the problem is, in words."""
+    return f"{log.columns} column{'s' * (log.columns != 1)} and {log.actions} action{'s' * (log.actions != 1)}"
 
 
 def _measure(log: LogStatistics) -> str:
@@ -309,7 +316,7 @@ CASES = (
         _whole_ways,
         lambda log: (
             f"{_parted(log)}, and nothing ends an episode early: cloning already does as well as these, and going "
-            f"beyond takes pieces of several. With {log.columns} columns and {log.actions} actions that can be learned"
+            f"beyond takes pieces of several. With {_size(log)} that can be learned"
         ),
         "odaf",
         _nothing,
@@ -331,7 +338,7 @@ CASES = (
         lambda log: _is_small(log) and log.between < DIFFERENT,
         lambda log: (
             f"{_spread(log)}, and {1 - log.between:.0%} of the variance of rewards lies within episodes: no controller "
-            f"is far better than another. With {log.columns} columns and {log.actions} actions small networks do"
+            f"is far better than another. With {_size(log)} small networks do"
         ),
         "rebrac",
         lambda log: {"hidden_sizes": [32, 32], "batch_size": 128, "discount": 0.95},
