@@ -11,7 +11,8 @@ import pytest
 from odaf.behaviour import online
 from odaf.behaviour.exact_replay import exact_replay
 from odaf.behaviour.export import _nearest, export
-from odaf.behaviour.online import OnlineRun, Played, load_policy, play, train
+from odaf.behaviour.locomotion_task import Played, play
+from odaf.behaviour.online import OnlineRun, load_policy, train
 from odaf.behaviour.replay import Replay, unpack
 from odaf.environments.contact_margins import installed_rule, installed_version, recorded
 from odaf.environments.locomotion import TASKS, Simulator
@@ -83,10 +84,10 @@ def test_a_stopped_run_goes_on_as_if_it_had_not_been_stopped(finished, tmp_path,
     directory = tmp_path / "broken"
     play = online._play
 
-    def dying(run, simulator, policy, replay, now):
-        if now.step == stopped_at:
+    def dying(*arguments):
+        if arguments[-1].step == stopped_at:
             raise KeyboardInterrupt
-        play(run, simulator, policy, replay, now)
+        play(*arguments)
 
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
         patch.setattr(online, "_play", dying)

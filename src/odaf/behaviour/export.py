@@ -16,7 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from odaf.behaviour.online import OnlineRun, curve_in, load_policy, play, run_in
+from odaf.behaviour.locomotion_task import play
+from odaf.behaviour.online import OnlineRun, curve_in, load_policy, run_in
 from odaf.environments.gaussian_policy import GaussianPolicy
 from odaf.environments.locomotion import Simulator, Task, task_of
 from odaf.environments.locomotion_acceptance import PUBLISHED, PUBLISHED_SPREAD, SPREAD_FACTOR, terminal_limits
@@ -82,7 +83,7 @@ def export(
         raise ConfigError(f"{directory}: no snapshots yet; the first is written after {run.random_steps:,} steps")
     loaded = {step: _halved(load_policy(path)) for step, path in snapshots.items()}
     progress = progress or Silent()
-    simulators = run.simulators(CLOSE_LOOK)
+    simulators = run.bodies(CLOSE_LOOK)
     progress.start(f"{task.name} snapshots", len(loaded), unit="snapshots")
     looks: dict[int, float] = {}
     for step, policy in loaded.items():

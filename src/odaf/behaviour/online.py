@@ -2,14 +2,15 @@
 
 A run directory holds `config.json`, `curve.jsonl` (a line an evaluation), `snapshots/STEP.npz` (actors),
 `replay.npy` (every step played) and the newest checkpoint. A run that was stopped goes on from its last checkpoint and
-gives the bits that an unbroken run would have given.
+gives the bits that an unbroken run would have given. What is learnt, by which learner and how it is judged, is the
+task's: see `odaf.behaviour.task`.
 """
 
 import dataclasses
 import json
 import shutil
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -19,22 +20,18 @@ import jax.random as jr
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from odaf.algorithms.base import Metrics
-from odaf.algorithms.truncated_quantile_critics import TQCState, TruncatedQuantileCritics
+from odaf.algorithms.base import Algorithm, LearnerState, Metrics
 from odaf.behaviour.replay import Replay, unpack
-from odaf.components.policies import GaussianActor
-from odaf.data.spec import Spec
+from odaf.behaviour.task import Body, OnlineTask
+from odaf.behaviour.tasks import online_task
+from odaf.components.policies import Actor, GaussianActor
 from odaf.data.writing import write_text
 from odaf.environments.contact_margins import ContactMargins, check
 from odaf.environments.gaussian_policy import GaussianPolicy
-from odaf.environments.locomotion import TIME_LIMIT, Simulator, Task, task_of
-from odaf.environments.reference_returns import REFERENCES
 from odaf.errors import ConfigError
 from odaf.training import checkpoints
 from odaf.training.files import plain, write_arrays, write_json
 from odaf.training.progress import ProgressReport, Silent
-
-DROPPED = {"halfcheetah": 2, "hopper": 5, "walker2d": 2}  # atoms dropped for each critic, as in the paper
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,9 +39,9 @@ class OnlineRun:
     """Settings of one run."""
 
     task: str
-    """halfcheetah, hopper or walker2d."""
+    """halfcheetah, hopper, walker2d or ant."""
     version: str = "v4"
-    """Environment version."""
+    """Environment version; of the ant there is "v0" only."""
     seed: int = 0
     """The same seed gives the same bits on the same machine and versions."""
     steps: int = 1_000_000
@@ -58,29 +55,38 @@ class OnlineRun:
     evaluate_every: int = 25_000
     """Steps between evaluations."""
     episodes: int = 10
-    """Deterministic episodes of one evaluation."""
+    """Episodes of one evaluation."""
     snapshot_every: int = 5_000
     """Steps between copies of the actor."""
     checkpoint_every: int = 50_000
     """Steps between checkpoints."""
     contact_margins: ContactMargins | None = None
-    """How MuJoCo counts the margins of two geoms that touch, "added" or "larger"; None is as the installed one does."""
+    """How MuJoCo counts the margins of two geoms that touch, "added" or "larger"; None is as the installed one does,
+    for the ant "larger"."""
 
     def __post_init__(self) -> None:
-        task_of(self.task, self.version)
+        self.learns()
         check(self.contact_margins)
         for field in ("steps", "random_steps", "evaluate_every", "snapshot_every", "checkpoint_every"):
             value = getattr(self, field)
             if value < 1 or value % self.stretch:
                 raise ConfigError(f"{field}={value} must be a positive multiple of stretch={self.stretch}")
 
-    def algorithm(self) -> TruncatedQuantileCritics:
-        """The learner."""
-        return TruncatedQuantileCritics(dropped=DROPPED[self.task], batch_size=self.batch_size)
+    def learns(self) -> OnlineTask:
+        """What it trains for.
 
-    def simulators(self, count: int) -> list[Simulator]:
+        Raises:
+            ConfigError: there is no such task or version.
+        """
+        return online_task(self.task, self.version)
+
+    def algorithm(self) -> Algorithm[Any]:
+        """The learner."""
+        return self.learns().learner(self.batch_size)
+
+    def bodies(self, count: int) -> list[Any]:
         """So many bodies of its task."""
-        return [Simulator(task_of(self.task, self.version), self.version, self.contact_margins) for _ in range(count)]
+        return [self.learns().body(self.contact_margins) for _ in range(count)]
 
 
 @dataclasses.dataclass
@@ -112,36 +118,37 @@ def train(
         ConfigError: the directory belongs to a run with other settings.
     """
     progress = progress or Silent()
-    task, algorithm = task_of(run.task, run.version), run.algorithm()
+    task, algorithm = run.learns(), run.algorithm()
     _claim(run, directory)
-    (simulator,) = run.simulators(1)
+    (body,) = run.bodies(1)
     replay = Replay(directory / "replay.npy", task, run.steps)
-    state, now = _start(run, task, algorithm, simulator, directory)
+    state, now = _start(run, task, algorithm, body, directory)
     key, updates = jr.key(run.seed), _compiled(algorithm, task)
     began = time.monotonic() - now.seconds
-    progress.start(f"{task.environment_id(run.version)} seed {run.seed}", run.steps, now.step)
+    progress.start(f"{task.environment} seed {run.seed}", run.steps, now.step)
     note = ""
     while now.step < run.steps:
         policy = None if now.step < run.random_steps else policy_of(algorithm.actor(state))
-        _play(run, simulator, policy, replay, now)
+        _play(run, task, body, policy, replay, now)
         if now.step > run.random_steps:
             rows = replay.draw(now.rng.integers(0, now.step, (run.stretch, algorithm.batch_size)))
             state, metrics = updates(state, rows, jr.fold_in(key, now.step))
             if now.step % run.evaluate_every == 0:
-                played = _evaluation(run, task, policy_of(algorithm.actor(state)))
+                policy = policy_of(algorithm.actor(state))
+                played = task.evaluate(policy, run.episodes, run.seed, run.contact_margins)
                 line = {"step": now.step, **played, **_means(metrics)}
                 now.seconds = line["seconds"] = time.monotonic() - began
                 with (directory / "curve.jsonl").open("a", encoding="utf-8") as file:
                     file.write(json.dumps(line) + "\n")
-                note = f"score {line['normalised_score']:.1f}"
+                note = task.in_words(line)
                 if stop(line):
-                    _save(directory, state, replay, simulator, now)
+                    _save(directory, state, replay, body, now)
                     break
             if now.step % run.snapshot_every == 0:
                 save_policy(directory / "snapshots" / f"{now.step:08d}.npz", policy_of(algorithm.actor(state)))
             if now.step % run.checkpoint_every == 0 or now.step == run.steps:
                 now.seconds = time.monotonic() - began
-                _save(directory, state, replay, simulator, now)
+                _save(directory, state, replay, body, now)
         progress.advance(now.step, note)
     progress.close()
 
@@ -165,8 +172,9 @@ def curve_in(directory: Path) -> list[dict[str, Any]]:
     return [json.loads(line) for line in lines]
 
 
-def policy_of(actor: GaussianActor) -> GaussianPolicy:
+def policy_of(actor: Actor) -> GaussianPolicy:
     """The actor on the host."""
+    assert isinstance(actor, GaussianActor)  # the task says so of its learner
     network = actor.network
     return GaussianPolicy([np.asarray(w) for w in network.weights], [np.asarray(b) for b in network.biases])
 
@@ -187,65 +195,36 @@ def load_policy(path: Path) -> GaussianPolicy:
     return GaussianPolicy(weights, biases)
 
 
-@dataclasses.dataclass(frozen=True)
-class Played:
-    """One episode in each body: undiscounted returns and rows, both [bodies], and the share of all rows with a fall."""
-
-    returns: np.ndarray
-    lengths: np.ndarray
-    fall_share: float
-
-
-def play(policy: GaussianPolicy, simulators: Sequence[Simulator], seed: int, stochastic: bool = False) -> Played:
-    """One episode in each body, all in step, each from a start of its own."""
-    episodes, act_dim = len(simulators), simulators[0].task.act_dim
-    rng = np.random.default_rng(seed)
-    observations = np.stack([simulator.reset(int(rng.integers(2**31))) for simulator in simulators])
-    returns, lengths, alive = np.zeros(episodes), np.zeros(episodes, int), np.ones(episodes, dtype=bool)
-    for _ in range(TIME_LIMIT):
-        if stochastic:
-            actions = policy.sample(observations, rng.standard_normal((episodes, act_dim), dtype=np.float32))
-        else:
-            actions = policy.mode(observations)
-        for index in np.flatnonzero(alive).tolist():
-            observations[index], reward, terminated = simulators[index].step(actions[index])
-            returns[index] += reward
-            lengths[index] += 1
-            alive[index] = not terminated
-        if not alive.any():
-            break
-    falls = int(np.sum(lengths < TIME_LIMIT))  # at the last step the clock counts
-    return Played(returns, lengths, falls / int(lengths.sum()))
-
-
-def _play(run: OnlineRun, simulator: Simulator, policy: GaussianPolicy | None, replay: Replay, now: _Position) -> None:
+def _play(
+    run: OnlineRun, task: OnlineTask, body: Body, policy: GaussianPolicy | None, replay: Replay, now: _Position
+) -> None:
     """Plays one stretch; without a policy, uniform actions."""
-    size = run.stretch, simulator.task.act_dim
+    size = run.stretch, task.act_dim
     if policy is None:
         draws = now.rng.uniform(-1.0, 1.0, size).astype(np.float32)
     else:
         draws = now.rng.standard_normal(size, dtype=np.float32)
     for draw in draws:
         action = draw if policy is None else policy.sample(now.observation, draw)
-        body = simulator.body()
-        observation, reward, terminated = simulator.step(action)
+        pose = body.body()
+        observation, reward, terminated = body.step(action)
         now.elapsed += 1
-        cut = now.elapsed >= TIME_LIMIT
-        replay.write(now.step, now.observation, action, reward, observation, terminated, cut and not terminated, body)
+        cut = now.elapsed >= task.time_limit
+        replay.write(now.step, now.observation, action, reward, observation, terminated, cut and not terminated, pose)
         now.step += 1
         if terminated or cut:
-            observation, now.elapsed = simulator.reset(int(now.rng.integers(2**31))), 0
+            observation, now.elapsed = body.reset(int(now.rng.integers(2**31))), 0
         now.observation = observation
 
 
 def _compiled(
-    algorithm: TruncatedQuantileCritics, task: Task
-) -> Callable[[TQCState, np.ndarray, PRNGKeyArray], tuple[TQCState, Metrics]]:
+    algorithm: Algorithm[Any], task: OnlineTask
+) -> Callable[[LearnerState, np.ndarray, PRNGKeyArray], tuple[LearnerState, Metrics]]:
     @partial(jax.jit, donate_argnums=0)
     def updates(
-        state: TQCState, rows: Float[Array, "updates batch width"], key: PRNGKeyArray
-    ) -> tuple[TQCState, Metrics]:
-        def body(state: TQCState, one: tuple[Array, PRNGKeyArray]) -> tuple[TQCState, Metrics]:
+        state: LearnerState, rows: Float[Array, "updates batch width"], key: PRNGKeyArray
+    ) -> tuple[LearnerState, Metrics]:
+        def body(state: LearnerState, one: tuple[Array, PRNGKeyArray]) -> tuple[LearnerState, Metrics]:
             batch, key = one
             return algorithm.update(state, unpack(batch, task.obs_dim, task.act_dim), key)
 
@@ -255,24 +234,8 @@ def _compiled(
     return updates
 
 
-def _evaluation(run: OnlineRun, task: Task, policy: GaussianPolicy) -> dict[str, Any]:
-    returns = play(policy, run.simulators(run.episodes), seed=run.seed).returns
-    return {
-        "environment": task.environment_id(run.version),
-        "episodes": run.episodes,
-        "mean_return": float(returns.mean()),
-        "std_return": float(returns.std()),
-        "normalised_score": REFERENCES[task.family].normalise(float(returns.mean())),
-    }
-
-
 def _means(metrics: Metrics) -> dict[str, float]:
     return {name: float(value) for name, value in metrics.items()}
-
-
-def _spec(task: Task) -> Spec:
-    low, high = (-1.0,) * task.act_dim, (1.0,) * task.act_dim
-    return Spec(task.obs_dim, task.act_dim, low, high, -np.inf, np.inf, task.name != "halfcheetah", TIME_LIMIT)
 
 
 def _claim(run: OnlineRun, directory: Path) -> None:
@@ -298,20 +261,21 @@ def _claim(run: OnlineRun, directory: Path) -> None:
 
 
 def _start(
-    run: OnlineRun, task: Task, algorithm: TruncatedQuantileCritics, simulator: Simulator, directory: Path
-) -> tuple[TQCState, _Position]:
+    run: OnlineRun, task: OnlineTask, algorithm: Algorithm[Any], body: Body, directory: Path
+) -> tuple[LearnerState, _Position]:
     """The newest checkpoint, or the beginning."""
-    state = algorithm.init(jr.fold_in(jr.key(run.seed), 0), _spec(task))
+    key, spec = jr.fold_in(jr.key(run.seed), 0), task.spec()
+    state = algorithm.init(key, spec, algorithm.untrained(key, spec))
     rng = np.random.default_rng(run.seed)
     curve = directory / "curve.jsonl"
     saved = checkpoints.listed(directory / "checkpoints")
     if not saved:
         write_text(curve, "")
-        observation = simulator.reset(int(rng.integers(2**31)))
+        observation = body.reset(int(rng.integers(2**31)))
         return state, _Position(0, rng, observation, 0, 0.0)
     header = saved[-1].header()
     rng.bit_generator.state = header["rng"]
-    simulator.restore(np.array(header["physics"]))
+    body.restore(np.array(header["physics"]))
     lines = [
         line for line in curve.read_text(encoding="utf-8").splitlines() if json.loads(line)["step"] <= header["step"]
     ]
@@ -320,13 +284,13 @@ def _start(
     return saved[-1].load(state), _Position(header["step"], rng, observation, header["elapsed"], header["seconds"])
 
 
-def _save(directory: Path, state: TQCState, replay: Replay, simulator: Simulator, now: _Position) -> None:
+def _save(directory: Path, state: LearnerState, replay: Replay, body: Body, now: _Position) -> None:
     """Writes a checkpoint, then removes the older ones."""
     replay.flush()
     older = checkpoints.listed(directory / "checkpoints")
     record = {
         "rng": now.rng.bit_generator.state,
-        "physics": simulator.physics().tolist(),
+        "physics": body.physics().tolist(),
         "observation": now.observation.tolist(),
         "elapsed": now.elapsed,
         "seconds": now.seconds,

@@ -1,12 +1,37 @@
 """Every step of an online run, in the order in which it was played, in one file that is read and written in place."""
 
 from pathlib import Path
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Array, Float
 
 from odaf.data.transitions import Transitions
-from odaf.environments.locomotion import Task
+
+
+@runtime_checkable
+class Widths(Protocol):
+    """How many numbers the columns of a row hold."""
+
+    @property
+    def obs_dim(self) -> int:
+        """Of an observation."""
+        ...
+
+    @property
+    def act_dim(self) -> int:
+        """Of an action."""
+        ...
+
+    @property
+    def positions(self) -> int:
+        """Of `qpos`."""
+        ...
+
+    @property
+    def velocities(self) -> int:
+        """Of `qvel`."""
+        ...
 
 
 class Replay:
@@ -16,8 +41,8 @@ class Replay:
     buffer as it was after N steps. A file that holds fewer grows when a run is made longer.
     """
 
-    def __init__(self, path: Path, task: Task, capacity: int):
-        obs, act, body = task.obs_dim, task.act_dim, 2 * task.positions
+    def __init__(self, path: Path, task: Widths, capacity: int):
+        obs, act, body = task.obs_dim, task.act_dim, task.positions + task.velocities
         self.task = task
         self.width = 2 * obs + act + 2
         shape = (capacity, self.width + 1 + body)

@@ -1,4 +1,4 @@
-"""`odaf behaviour train` and `export`: make the policies that locomotion data are recorded from, and ship them."""
+"""`odaf behaviour train` and `export`: make the policies that data are recorded from, and ship them."""
 
 import os
 from dataclasses import dataclass
@@ -19,21 +19,21 @@ class TrainOptions:
     A run that was stopped goes on, and more --steps make a finished one longer.
     """
 
-    task: tyro.conf.Positional[Literal["halfcheetah", "hopper", "walker2d"]]
-    """What to learn."""
+    task: tyro.conf.Positional[Literal["halfcheetah", "hopper", "walker2d", "ant"]]
+    """What to learn; `ant` is the walker that the ant mazes are recorded with."""
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
     """Directory of the run."""
-    steps: int = 1_000_000
-    """Environment steps; one update each after the first 10,000."""
-    batch_size: int = 256
-    """Transitions an update; half of it makes an update cost three fifths."""
+    steps: Annotated[int | None, tyro.conf.arg(metavar="INT")] = None
+    """Environment steps, one update each after the first 10,000; without it 1,000,000, and 400,000 for the ant."""
+    batch_size: Annotated[int | None, tyro.conf.arg(metavar="INT")] = None
+    """Transitions an update, without it 256, and 128 for the ant; half of it makes an update cost three fifths."""
     seed: int = 0
     """The same seed gives the same bits on the same machine and versions."""
-    version: Literal["v4", "v5"] = "v4"
-    """Environment version."""
+    version: Annotated[Literal["v4", "v5"] | None, tyro.conf.arg(metavar="v4|v5")] = None
+    """Environment version, v4 where none is named; of the ant there is one only."""
     contact_margins: Annotated[Literal["added", "larger"] | None, tyro.conf.arg(metavar="RULE")] = None
     """How MuJoCo counts the contact margins of two parts that touch: `added`, as it does from 3.5.0 on, or `larger`, as
-    before, which makes Hopper the older body; without it, as the installed one does."""
+    before, which makes Hopper the older body; without it, as the installed one does, and `larger` for the ant."""
     core: Annotated[int | None, tyro.conf.arg(metavar="INT")] = None
     """Stay on this processor core, so that runs side by side do not fight over threads."""
 
@@ -46,16 +46,12 @@ def train(arguments: list[str]) -> None:
 
     from odaf.behaviour.online import OnlineRun
     from odaf.behaviour.online import train as train_online
+    from odaf.behaviour.tasks import usual_settings
     from odaf.training.progress import default_progress
 
-    run = OnlineRun(
-        options.task,
-        options.version,
-        options.seed,
-        options.steps,
-        batch_size=options.batch_size,
-        contact_margins=options.contact_margins,
-    )
+    named = {"version": options.version, "steps": options.steps, "batch_size": options.batch_size}
+    settings = {**usual_settings(options.task), **{name: value for name, value in named.items() if value is not None}}
+    run = OnlineRun(options.task, seed=options.seed, contact_margins=options.contact_margins, **settings)
     with repeatable():
         train_online(run, options.out, default_progress(True))
 

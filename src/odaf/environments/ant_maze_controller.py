@@ -19,6 +19,18 @@ DIRECTION_NORM = 10.0  # what a walker was trained on, whatever the distance
 Walk = Callable[[np.ndarray], np.ndarray]
 
 
+def walker_inputs(observations: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """What a walker is shown: [ants, 29], 27 numbers of the body and the direction, two of norm 10.
+
+    Args:
+        observations: [ants, 29] of `AntMaze`.
+        directions: [ants, 2] to go in, of any length.
+    """
+    norms = np.linalg.norm(directions, axis=1, keepdims=True)
+    norms = np.maximum(norms, 1e-9)  # who stands on the waypoint has no direction
+    return np.concatenate([observations[:, 2:], DIRECTION_NORM * directions / norms], axis=1)
+
+
 class WaypointController:
     """Walks ants to their goals, cell by cell.
 
@@ -43,12 +55,9 @@ class WaypointController:
         return self.walk(self.inputs(observations, goals, rng))
 
     def inputs(self, observations: np.ndarray, goals: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """What the walker is shown: [ants, 29], 27 numbers of the body and the direction."""
+        """What the walker is shown on its way to its goal, see `walker_inputs`."""
         positions = observations[:, :2]
-        apart = self.waypoints(positions, goals, rng) - positions
-        norms = np.linalg.norm(apart, axis=1, keepdims=True)
-        norms = np.maximum(norms, 1e-9)  # who stands on the waypoint has no direction
-        return np.concatenate([observations[:, 2:], DIRECTION_NORM * apart / norms], axis=1)
+        return walker_inputs(observations, self.waypoints(positions, goals, rng) - positions)
 
     def waypoints(self, positions: np.ndarray, goals: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         """[ants, 2] where ants at `positions` [ants, 2] are to go next on their ways to `goals` [ants, 2], metres."""

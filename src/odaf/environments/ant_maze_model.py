@@ -21,8 +21,11 @@ _CONTACT = {"solref": ".02 1", "solimp": ".8 .8 .01"}  # gymnasium's ant has MuJ
 _WALL = {"type": "box", "contype": "1", "conaffinity": "1", "rgba": "0.7 0.5 0.3 1"}
 
 
-def ant_model(maze: AntMazeMap) -> Any:
+def ant_model(maze: AntMazeMap | None) -> Any:
     """A fresh `mujoco.MjModel` of the ant at the origin, and a box named `block_ROW_COLUMN` for each wall.
+
+    Args:
+        maze: where the walls stand; None is an open plane without end.
 
     Raises:
         ConfigError: the installed gymnasium's ant is built in another way than those we know.
@@ -34,8 +37,7 @@ def ant_model(maze: AntMazeMap) -> Any:
         motor.attrib.update(ctrlrange=f"{-TORQUE} {TORQUE}", gear="1")
     world = _one(root, "worldbody")
     half = f"{CELL / 2} {CELL / 2} {WALL_HEIGHT / 2}"
-    for cell in maze.walls:
-        x, y = maze.centre(cell)
+    for cell, (x, y) in () if maze is None else ((cell, maze.centre(cell)) for cell in maze.walls):
         place = {"name": f"block_{cell[0]}_{cell[1]}", "pos": f"{x} {y} {WALL_HEIGHT / 2}", "size": half}
         ElementTree.SubElement(world, "geom", place | _WALL)
     # The compiled module comes without stubs.

@@ -32,6 +32,11 @@ class Task:
     act_dim: int
     positions: int
 
+    @property
+    def velocities(self) -> int:
+        """Numbers in the simulator's `qvel`."""
+        return self.positions
+
     def environment_id(self, version: str) -> str:
         """Gymnasium's name, such as `Hopper-v4`."""
         return f"{self.family}-{version}"
