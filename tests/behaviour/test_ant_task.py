@@ -6,14 +6,17 @@ import json
 import numpy as np
 import pytest
 
+from odaf.behaviour import export_walker as exporting
 from odaf.behaviour import online
 from odaf.behaviour.ant_task import AntTask, walk
-from odaf.behaviour.online import OnlineRun, train
+from odaf.behaviour.export_walker import Look, export_walker
+from odaf.behaviour.online import OnlineRun, load_policy, train
 from odaf.behaviour.replay import Replay
 from odaf.environments.ant_maze_controller import WaypointController
 from odaf.environments.ant_maze_map import AntMazeMap
 from odaf.environments.ant_walker import AntWalker, uprightness
 from odaf.environments.gaussian_policy import GaussianPolicy
+from odaf.environments.shipped_policies import shipped_walker
 from odaf.errors import ConfigError
 
 TINY = OnlineRun(
@@ -25,7 +28,7 @@ TINY = OnlineRun(
     stretch=40,
     evaluate_every=80,
     episodes=2,
-    snapshot_every=80,
+    snapshot_every=40,
     checkpoint_every=40,
 )
 ON_ITS_BACK = np.array([0.0, 0.0, 0.5, 0.0, 1.0, 0.0, 0.0])
@@ -90,19 +93,26 @@ def test_an_ant_on_its_back_has_turned_over_and_one_on_its_side_not_yet():
 def test_walks_end_at_the_waypoint_or_with_the_steps(monkeypatch):
     ants = [AntWalker() for _ in range(4)]
     walked = walk(still(), ants, seed=0, noise=0.0, most_steps=3)
-    assert walked.steps.tolist() == [4] * 4 and not walked.flipped.any()
+    assert walked.steps.tolist() == [3] * 4 and not walked.flipped.any() and not walked.reached.any()
     assert np.abs(walked.speeds).max() < 1.0
     monkeypatch.setattr("odaf.behaviour.ant_task.DISTANCE", 0.3)
     near = walk(still(), ants, seed=0, noise=0.0, most_steps=3)
-    assert near.steps.tolist() == [1] * 4
+    assert near.steps.tolist() == [1] * 4 and near.reached.all()
     ants[1].step = lambda action: (np.zeros(29), 0.0, True)
     monkeypatch.setattr("odaf.behaviour.ant_task.DISTANCE", 8.0)
     assert walk(still(), ants, seed=0, noise=0.0, most_steps=3).flipped.tolist() == [False, True, False, False]
 
 
-def test_an_ants_run_is_judged_by_waypoints_and_goes_on_as_if_it_had_not_been_stopped(tmp_path, monkeypatch):
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """A run that was never stopped."""
+    directory = tmp_path_factory.mktemp("ants") / "unbroken"
+    train(TINY, directory)
+    return directory
+
+
+def test_an_ants_run_is_judged_by_waypoints_and_goes_on_as_if_it_had_not_been_stopped(finished, tmp_path, monkeypatch):
     """Killed in the middle of a hundred steps, so that the direction must come back too."""
-    train(TINY, tmp_path / "unbroken")
     play = online._play
 
     def dying(*arguments):
@@ -114,14 +124,41 @@ def test_an_ants_run_is_judged_by_waypoints_and_goes_on_as_if_it_had_not_been_st
         patch.setattr(online, "_play", dying)
         train(TINY, tmp_path / "broken")
     train(TINY, tmp_path / "broken")
-    unbroken, broken = (np.load(tmp_path / name / "replay.npy") for name in ("unbroken", "broken"))
+    unbroken, broken = (np.load(place / "replay.npy") for place in (finished, tmp_path / "broken"))
     np.testing.assert_array_equal(broken, unbroken)
-    columns = Replay(tmp_path / "unbroken" / "replay.npy", AntTask(), 160).columns(160)
+    columns = Replay(finished / "replay.npy", AntTask(), 160).columns(160)
     np.testing.assert_allclose(columns["qpos"][:, 2:], columns["observations"][:, :13], atol=1e-5)
     np.testing.assert_allclose(columns["qvel"], columns["observations"][:, 13:27], atol=1e-5)
-    (line,) = (json.loads(line) for line in (tmp_path / "unbroken" / "curve.jsonl").read_text().splitlines())
+    (line,) = (json.loads(line) for line in (finished / "curve.jsonl").read_text().splitlines())
     assert line["episodes"] == 2 and line["success"] == 0.0 and 0.0 <= line["flipped"] <= 1.0
     assert abs(line["mean_speed"]) < 1.0
+
+
+def test_the_exported_walker_is_the_snapshot_that_reaches_most_goals(finished, tmp_path, monkeypatch):
+    for name, value in (("DIRECTIONS", 2), ("WALKS", 1), ("MAZE_WALKS", 2), ("MAZE_STEPS", 4)):
+        monkeypatch.setattr(exporting, name, value)
+    looked, made_up = exporting._look, {120: (0.9, 0.0), 160: (0.9, 0.1)}
+
+    def look(step: int, *others) -> Look:
+        reached, flipped = made_up[step]
+        return dataclasses.replace(looked(step, *others), maze_reached=reached, maze_flipped=flipped)
+
+    monkeypatch.setattr(exporting, "_look", look)
+    facts = export_walker(finished, tmp_path / "policies", tmp_path / "ledger")
+    assert facts["walker"]["step"] == 120 and len(facts["walker"]["success"]) == 2
+    assert facts["training"]["command"] == "odaf behaviour train ant --seed 0 --steps 160 --batch-size 8"
+    with np.load(tmp_path / "policies" / "ant.npz", allow_pickle=False) as arrays:
+        assert arrays["weight_0"].dtype == np.float16
+        ours = load_policy(finished / "snapshots" / "00000120.npz").weights[0]
+        np.testing.assert_array_equal(arrays["weight_0"][0], ours.astype(np.float16))
+    ledger = json.loads((tmp_path / "ledger" / "ant-seed0.json").read_text())
+    assert [line["step"] for line in ledger["curve"]] == [160] and ledger["walker"]["step"] == 120
+    assert {line["step"] for line in ledger["close_looks"]} == set(made_up)
+    monkeypatch.setattr("odaf.environments.shipped_policies.files", lambda package: tmp_path)
+    walker = shipped_walker()
+    assert walker.facts["walker"]["step"] == 120 and walker.policy.weights[0].shape == (29, 8)
+    with pytest.raises(ConfigError, match="holds no training run"):
+        export_walker(tmp_path, tmp_path / "policies", tmp_path / "ledger")
 
 
 def test_of_the_ant_there_is_one_version():

@@ -9,13 +9,14 @@ import pytest
 from odaf.cli import main
 from odaf.cli.data import GenerateOptions
 from odaf.data import Dataset
+from odaf.environments.ant_maze_data import NAMES as ANT_MAZE_NAMES
 from odaf.environments.locomotion_data import NAMES
 
 
 def test_the_command_knows_every_set():
     kind = GenerateOptions.__dataclass_fields__["name"].type
     names = set(get_args(get_args(kind)[0])) if get_args(kind) else set()
-    assert names == {"pointmaze-stitch", *NAMES}
+    assert names == {"pointmaze-stitch", *NAMES, *ANT_MAZE_NAMES}
 
 
 def test_a_random_set_is_written_with_its_score(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
@@ -44,6 +45,7 @@ def test_info_says_of_which_edition_a_set_is(tmp_path: Path, capsys: pytest.Capt
         (["pointmaze-stitch", "--transitions", "5"], "--transitions is for locomotion"),
         (["pointmaze-stitch", "--version", "v4"], "--version is for locomotion"),
         (["hopper-medium", "--exact", "DIR"], "only medium-replay sets"),
+        (["antmaze-umaze", "--version", "v4"], "--version does not apply to antmaze-umaze, which takes --transitions"),
         (["hopper-medium-replay", "--exact", "DIR", "--transitions", "5"], "as long as its training"),
     ],
 )

@@ -49,7 +49,7 @@ class AntTask(OnlineTask):
         return {
             "environment": self.environment,
             "episodes": episodes,
-            "success": float(np.mean(walked.steps <= ENOUGH_STEPS)),
+            "success": float(walked.reached.mean()),
             "mean_speed": float(walked.speeds.mean()),
             "flipped": float(walked.flipped.mean()),
         }
@@ -63,11 +63,13 @@ class Walked:
     """One walk of each ant to a waypoint of its own, all arrays [ants].
 
     Attributes:
-        steps: until it was within 0.5 m; one more than were played where it never was.
+        reached: whether it came within 0.5 m.
+        steps: until then, or as many as were played.
         speeds: metres a second on the way there: of the distance that was covered towards the waypoint.
         flipped: whether it turned over.
     """
 
+    reached: np.ndarray
     steps: np.ndarray
     speeds: np.ndarray
     flipped: np.ndarray
@@ -94,19 +96,19 @@ def walk(
     points = DISTANCE * np.stack([np.cos(angles), np.sin(angles)], axis=1)
     seeds = rng.integers(2**31, size=len(ants)).tolist()
     observations = np.stack([ant.reset(one, point) for ant, one, point in zip(ants, seeds, points, strict=True)])
-    steps, flipped = np.full(len(ants), most_steps + 1), np.zeros(len(ants), bool)
+    steps = np.full(len(ants), most_steps)
+    reached, flipped = np.zeros(len(ants), bool), np.zeros(len(ants), bool)
     left = np.linalg.norm(points - np.stack([ant.position for ant in ants]), axis=1)
     begun = left.copy()
     for step in range(1, most_steps + 1):
         normal = rng.standard_normal((2, len(ants), ACTIONS), dtype=np.float32)
         actions = policy.sample(observations, normal[0]) + noise * normal[1]
-        for index in np.flatnonzero((steps > most_steps) & ~flipped).tolist():
+        for index in np.flatnonzero(~reached & ~flipped).tolist():
             ant = ants[index]
             _, _, flipped[index] = ant.step(actions[index])
             apart = points[index] - ant.position
             left[index] = np.linalg.norm(apart)
             if left[index] <= NEAR:
-                steps[index] = step
+                reached[index], steps[index] = True, step
             observations[index] = ant.towards(apart)
-    played = np.minimum(steps, most_steps)
-    return Walked(steps, (begun - left) / (STEP_SECONDS * played), flipped)
+    return Walked(reached, steps, (begun - left) / (STEP_SECONDS * steps), flipped)

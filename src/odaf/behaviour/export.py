@@ -10,14 +10,14 @@ import itertools
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from importlib.metadata import version as version_of
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from odaf.behaviour.exported import halved_snapshots, package_versions, training_record
 from odaf.behaviour.locomotion_task import play
-from odaf.behaviour.online import OnlineRun, curve_in, load_policy, run_in
+from odaf.behaviour.online import OnlineRun, curve_in, run_in
 from odaf.environments.gaussian_policy import GaussianPolicy
 from odaf.environments.locomotion import Simulator, Task, task_of
 from odaf.environments.locomotion_acceptance import PUBLISHED, PUBLISHED_SPREAD, SPREAD_FACTOR, terminal_limits
@@ -78,10 +78,7 @@ def export(
     run, curve = run_in(directory), curve_in(directory)
     task = task_of(run.task, run.version)
     reference = REFERENCES[task.family]
-    snapshots = {int(path.stem): path for path in sorted((directory / "snapshots").glob("*.npz"))}
-    if not snapshots:
-        raise ConfigError(f"{directory}: no snapshots yet; the first is written after {run.random_steps:,} steps")
-    loaded = {step: _halved(load_policy(path)) for step, path in snapshots.items()}
+    loaded = halved_snapshots(directory, run)
     progress = progress or Silent()
     simulators = run.bodies(CLOSE_LOOK)
     progress.start(f"{task.name} snapshots", len(loaded), unit="snapshots")
@@ -100,14 +97,7 @@ def export(
         candidates = {step: loaded[step] for step in near}
         return _nearest(candidates, simulators, reference, target, terminal_limits(falls), _spreads(name))
 
-    settings = f"--seed {run.seed} --steps {run.steps} --batch-size {run.batch_size}"
-    settings += "" if run.contact_margins is None else f" --contact-margins {run.contact_margins}"
-    training = {
-        "algorithm": asdict(run.algorithm()),
-        "run": asdict(run),
-        "steps_made": max([*loaded, *(line["step"] for line in curve)]),
-        "command": f"odaf behaviour train {task.name} {settings}",
-    }
+    training = training_record(run, max([*loaded, *(line["step"] for line in curve)]))
     targets = {level: PUBLISHED[f"{task.name}-{level}"][0] for level in ("medium", "expert")}
     best = search("expert")
     reached = best.normalised_score >= targets["expert"] - EXPERT_WITHIN
@@ -186,14 +176,6 @@ def _phases(run: OnlineRun, snapshots: Sequence[int], end: int) -> list[tuple[in
     return phases
 
 
-def _halved(policy: GaussianPolicy) -> GaussianPolicy:
-    """The policy as it will be after a trip through half precision."""
-    weights, biases = (
-        [array.astype(np.float16).astype(np.float32) for array in arrays] for arrays in (policy.weights, policy.biases)
-    )
-    return GaussianPolicy(weights, biases)
-
-
 def _kept(policies: Path, task: Task) -> tuple[dict[str, Any], list[GaussianPolicy]]:
     """The facts that are there and the policies of medium and replay, which come before the expert."""
     try:
@@ -220,7 +202,7 @@ def _ledger(
         "environment": task.environment_id(run.version),
         "seed": run.seed,
         **training,
-        "versions": {package: version_of(package) for package in ("jax", "gymnasium", "mujoco", "numpy")},
+        "versions": package_versions(),
         "medium": None if expert_only else facts["medium"],
         "expert": {name: value for name, value in facts["expert"].items() if name != "training"},
         "curve": curve,

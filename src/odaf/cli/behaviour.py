@@ -1,15 +1,17 @@
 """`odaf behaviour train` and `export`: make the policies that data are recorded from, and ship them."""
 
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
 
 from odaf.cli.interrupts import repeatable
 from odaf.cli.options import parse
 from odaf.cli.results import number
+from odaf.errors import ConfigError
 
 
 @dataclass(frozen=True)
@@ -58,7 +60,8 @@ def train(arguments: list[str]) -> None:
 
 @dataclass(frozen=True)
 class ExportOptions:
-    """Choose medium, expert and replay policies from a training run and put them where `odaf data generate` looks."""
+    """Choose medium, expert and replay policies from a training run and put them where `odaf data generate` looks; of a
+    run of the ant, one walker."""
 
     directory: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIR")]
     """A directory of `odaf behaviour train`."""
@@ -75,13 +78,19 @@ def export(arguments: list[str]) -> None:
     options = parse(ExportOptions, arguments, "behaviour export")
 
     from odaf.behaviour.export import export as export_policies
+    from odaf.behaviour.export_walker import export_walker
+    from odaf.behaviour.online import run_in
     from odaf.environments import shipped_policies
     from odaf.training.progress import default_progress
 
     folder = options.policies or Path(shipped_policies.__file__).with_name("policies")
-    facts = export_policies(
-        options.directory, folder, options.ledger, default_progress(True), expert_only=options.expert_only
-    )
+    progress = default_progress(True)
+    if run_in(options.directory).task == shipped_policies.WALKER:
+        if options.expert_only:
+            raise ConfigError("--expert-only: a run of the ant has one walker; leave it out")
+        _print_walker(export_walker(options.directory, folder, options.ledger, progress)["walker"])
+        return
+    facts = export_policies(options.directory, folder, options.ledger, progress, expert_only=options.expert_only)
     for name in ("medium", "expert"):
         level = facts[name]
         if level is None:
@@ -91,3 +100,16 @@ def export(arguments: list[str]) -> None:
                 f"{name}: step {level['step']:,}, {facts['environment']} score {number(level['normalised_score'])}, "
                 f"return {number(level['mean_return'])} over {level['episodes']} stochastic episodes"
             )
+
+
+def _print_walker(look: Mapping[str, Any]) -> None:
+    success, count = look["success"], look["walks"] * len(look["success"])
+    print(
+        f"walker: step {look['step']:,}, reaches {sum(success) / len(success):.1%} of waypoints 8 m away (at least "
+        f"{min(success):.0%} in each of {len(success)} directions, {count} walks), {look['mean_speed']:.2f} m/s, "
+        f"turned over in {look['flipped']:.1%}"
+    )
+    print(
+        f"{look['maze']}: {look['maze_reached']:.0%} of {look['maze_walks']} walks reached their goal, "
+        f"{look['maze_flipped']:.0%} ended on their back"
+    )

@@ -22,9 +22,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class GenerateOptions:
-    """Record a data set from scripted controllers, or from the locomotion policies that come with odaf.
+    """Record a data set from scripted controllers, or from the policies that come with odaf.
 
     pointmaze-stitch: a point mass in a maze. No recorded episode takes the good path, yet its pieces are all there.
+    antmaze-...: an ant that is led through a maze, told as attempts at one goal.
     The others: a running body, played by policies of the level that the name says; docs/reference/generated-data.md
     describes each.
     """
@@ -47,6 +48,12 @@ class GenerateOptions:
             "walker2d-medium-replay",
             "walker2d-medium-expert",
             "walker2d-expert",
+            "antmaze-umaze",
+            "antmaze-umaze-diverse",
+            "antmaze-medium-play",
+            "antmaze-medium-diverse",
+            "antmaze-large-play",
+            "antmaze-large-diverse",
         ]
     ]
     """What to record."""
@@ -60,7 +67,7 @@ class GenerateOptions:
     repeats: Annotated[int | None, tyro.conf.arg(metavar="INT")] = None
     """pointmaze only: episodes of each route; without it, the number that belongs to the maze."""
     transitions: Annotated[int | None, tyro.conf.arg(metavar="INT")] = None
-    """Locomotion only: rows to record; without it, 100,000."""
+    """Locomotion and ant mazes: rows to record; without it, 100,000. D4RL's ant mazes have 1,000,000."""
     version: Annotated[Literal["v4", "v5"] | None, tyro.conf.arg(metavar="v4|v5")] = None
     """Locomotion only: environment version; without it, v4, near which scores were published."""
     edition: Annotated[int | None, tyro.conf.arg(metavar="INT")] = None
@@ -69,7 +76,7 @@ class GenerateOptions:
     contact_margins: Annotated[Literal["added", "larger"] | None, tyro.conf.arg(metavar="RULE")] = None
     """How MuJoCo counts the contact margins of two parts that touch: `added`, as it does from 3.5.0 on, or `larger`, as
     before, which makes Hopper and the point mazes the older bodies; without it, as the
-    installed one does."""
+    installed one does, and `larger` for ant mazes."""
     exact: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     """medium-replay only: train a policy from scratch in this directory, which takes hours, and keep its true replay
     buffer; a run that is there is gone on with."""
@@ -95,7 +102,8 @@ def generate(arguments: list[str]) -> None:
     options = parse(GenerateOptions, arguments, "data generate")
     check_outputs({"--out": (options.out, DATASET)}, [_map_file(options), options.exact], options.force)
     began = time.monotonic()
-    dataset = _maze_data(options) if options.name == "pointmaze-stitch" else _locomotion_data(options)
+    record = _maze_data if options.name == "pointmaze-stitch" else _locomotion_data
+    dataset = (_ant_maze_data if options.name.startswith("antmaze-") else record)(options)
     seconds = time.monotonic() - began
     dataset.save(options.out)
     summary = dataset.summary()
@@ -108,6 +116,13 @@ def generate(arguments: list[str]) -> None:
         print(
             f"{statistics['environment']}: normalised score {number(statistics['normalised_mean'])} over "
             f"{statistics['whole_episodes']:,} whole episodes; {summary['transitions'] / seconds:,.0f} transitions/s"
+        )
+    if "reached_share" in statistics:
+        print(
+            f"{statistics['whole_walks']:,} whole walks: {statistics['reached_share']:.0%} reached their own goal, "
+            f"{statistics['flipped_share']:.0%} ended on their back; {statistics['goal_rows']:,} rows in "
+            f"{statistics['goal_walks']:,} walks are at the goal of evaluation; "
+            f"{summary['transitions'] / seconds:,.0f} transitions/s"
         )
     for finding in summary["provenance"]["findings"]:
         print(f"{finding['finding']}: {finding['message']}")
@@ -204,6 +219,28 @@ def _maze_data(options: GenerateOptions) -> "Dataset":
     if options.repeats is not None:
         config = config.with_repeats(options.repeats)
     return stitch_data.generate(config, options.seed, options.contact_margins)
+
+
+def _ant_maze_data(options: GenerateOptions) -> "Dataset":
+    for field in ("maze", "repeats", "version", "edition", "exact"):
+        if getattr(options, field) is not None:
+            raise ConfigError(f"--{field} does not apply to {options.name}, which takes --transitions")
+
+    from odaf.training.progress import default_progress
+
+    try:
+        from odaf.environments.ant_maze_data import generate
+    except ImportError as error:
+        raise ConfigError(
+            f'{options.name}: needs a simulator that is missing ({error}); pip install "odaf[envs]"'
+        ) from error
+    return generate(
+        options.name,
+        100_000 if options.transitions is None else options.transitions,
+        options.seed,
+        default_progress(True),
+        contact_margins=options.contact_margins,
+    )
 
 
 def _locomotion_data(options: GenerateOptions) -> "Dataset":

@@ -1,5 +1,7 @@
 """The behaviour policies that come with the package: small arrays, one file a task, and a page of facts beside it.
 
+The ant's page says under "walker" which one walks the mazes.
+
 `policies/TASK.npz` holds the layers of P policies stacked along a first axis, in half precision; `policies/TASK.json`
 says which is which, how they were trained, and what they earn. Both are written by `odaf behaviour export`.
 """
@@ -16,6 +18,8 @@ import numpy as np
 from odaf.environments.gaussian_policy import GaussianPolicy
 from odaf.environments.locomotion import Task
 from odaf.errors import ConfigError
+
+WALKER = "ant"  # the task of the walker of the ant mazes
 
 
 @dataclass(frozen=True)
@@ -43,6 +47,24 @@ class ShippedPolicies:
     facts: dict[str, Any]
 
 
+@dataclass(frozen=True)
+class Walker:
+    """A policy that goes where it is told, and the page of facts; see `ant_maze_controller` for what it is shown."""
+
+    policy: GaussianPolicy
+    facts: dict[str, Any]
+
+
+def shipped_walker() -> Walker:
+    """The walker of the ant mazes.
+
+    Raises:
+        ConfigError: none is shipped.
+    """
+    layers, facts = _stored(WALKER)
+    return Walker(stacked_policies(layers)[facts["walker"]["index"]], facts)
+
+
 def shipped(task: Task, edition: int | None = None) -> ShippedPolicies:
     """The policies of a task.
 
@@ -54,16 +76,22 @@ def shipped(task: Task, edition: int | None = None) -> ShippedPolicies:
     Raises:
         ConfigError: none are shipped for it, or there is no such edition.
     """
+    layers, facts = _stored(task.name)
+    return unpack_policies(layers, facts_of_edition(facts, edition))
+
+
+def _stored(name: str) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """Stacked layers and page of facts of a task."""
     folder = files("odaf.environments") / "policies"
-    arrays, page = folder / f"{task.name}.npz", folder / f"{task.name}.json"
+    arrays, page = folder / f"{name}.npz", folder / f"{name}.json"
     if not (arrays.is_file() and page.is_file()):
         raise ConfigError(
-            f"no behaviour policies of {task.name} are shipped with this version; train some with "
-            f"`odaf behaviour train {task.name} --out DIR` and add them with `odaf behaviour export DIR`"
+            f"no behaviour policies of {name} are shipped with this version; train some with "
+            f"`odaf behaviour train {name} --out DIR` and add them with `odaf behaviour export DIR`"
         )
     with np.load(io.BytesIO(arrays.read_bytes()), allow_pickle=False) as content:
-        layers = {name: content[name] for name in content.files}
-    return unpack_policies(layers, facts_of_edition(json.loads(page.read_text(encoding="utf-8")), edition))
+        layers = {key: content[key] for key in content.files}
+    return layers, json.loads(page.read_text(encoding="utf-8"))
 
 
 def facts_of_edition(facts: Mapping[str, Any], edition: int | None) -> dict[str, Any]:

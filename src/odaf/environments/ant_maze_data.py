@@ -1,0 +1,175 @@
+"""Ant-maze data recorded on the spot: the names of D4RL's sets, walks of our own walker.
+
+An ant is led to a goal that is drawn for each walk and stays there until its time is up. Afterwards all walks are told
+as attempts at one goal, that of evaluation: rewards and true ends are where the next position is within 0.5 m of it, so
+that a walk which passes it goes on in a further episode. docs/reference/generated-data.md says how the sets differ from
+D4RL's.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib.metadata import version
+from typing import Any
+
+import numpy as np
+
+from odaf.data.dataset import Dataset
+from odaf.environments.ant_maze import SUCCESS_RADIUS, AntMaze
+from odaf.environments.ant_maze_acceptance import acceptance_of, findings_of, statistics_of
+from odaf.environments.ant_maze_map import ANT_MAZES
+from odaf.environments.ant_maze_recorder import ACTION_NOISE, MOST_ANTS, Walks, record
+from odaf.environments.contact_margins import ContactMargins
+from odaf.environments.shipped_policies import Walker, shipped_walker
+from odaf.errors import ConfigError
+from odaf.training.progress import ProgressReport, Silent
+
+MARGINS: ContactMargins = "larger"  # the body of the public data
+GOAL_OFFSET = 0.75  # metres from the centre of the goal's cell to the mean of the goals of evaluation, in x and y
+
+
+@dataclass(frozen=True)
+class MazeSet:
+    """How a set is recorded.
+
+    Attributes:
+        maze: name in `ANT_MAZES` of the map with the goals of the walks.
+        evaluation: name of the map with the goal that rewards refer to.
+        environment: where policies of this set are evaluated.
+        random_start: whether walks begin anywhere, or in the start's cell.
+        steps: of a walk.
+    """
+
+    maze: str
+    evaluation: str
+    environment: str
+    random_start: bool
+    steps: int
+
+    @property
+    def goal(self) -> tuple[float, float]:
+        """(x, y) that rewards refer to: the mean of the goals that evaluation draws."""
+        maze = ANT_MAZES[self.evaluation]
+        x, y = maze.centre(maze.goals[0])
+        return x + GOAL_OFFSET, y + GOAL_OFFSET
+
+
+def _sets(size: str, identity: str, steps: int, collections: Mapping[str, tuple[str, bool]]) -> dict[str, MazeSet]:
+    return {
+        f"antmaze-{name}": MazeSet(maze, size, f"odaf/AntMaze-{identity}-v0", random_start, steps)
+        for name, (maze, random_start) in collections.items()
+    }
+
+
+SETS: Mapping[str, MazeSet] = {
+    **_sets("umaze", "UMaze", 700, {"umaze": ("umaze", False), "umaze-diverse": ("umaze-diverse", True)}),
+    **_sets("medium", "Medium", 1000, {name: (name, True) for name in ("medium-play", "medium-diverse")}),
+    **_sets("large", "Large", 1000, {name: (name, True) for name in ("large-play", "large-diverse")}),
+}
+NAMES = tuple(SETS)
+
+
+def generate(
+    name: str,
+    transitions: int,
+    seed: int = 0,
+    progress: ProgressReport | None = None,
+    walker: Walker | None = None,
+    contact_margins: ContactMargins | None = None,
+) -> Dataset:
+    """Records the set called `name`; one seed gives the same bits on the same machine and versions.
+
+    `infos` hold `qpos` and `qvel` (before the action, double precision), the `goal` of the walk, and `walk`, its
+    number. `provenance` holds figures of the walks under "statistics", whether they are within limits under
+    "acceptance", a finding for each that is not, and under "policies" what is known of the walker.
+
+    Args:
+        name: one of `NAMES`.
+        transitions: rows, exactly; the last walk is cut to fit.
+        seed: chooses starts, goals and actions.
+        progress: hears how many rows are recorded.
+        walker: who walks; None takes the shipped one.
+        contact_margins: how the simulator counts them, see `odaf.environments.contact_margins`; None is "larger".
+
+    Raises:
+        ConfigError: the name is not known, or no walker is there.
+    """
+    if name not in SETS:
+        raise ConfigError(f"data set '{name}' is not known; known are {', '.join(NAMES)}")
+    if transitions < 1:
+        raise ConfigError(f"transitions={transitions} must be at least 1")
+    chosen, rule = SETS[name], contact_margins or MARGINS
+    walker, progress = walker or shipped_walker(), progress or Silent()
+    count = -(-transitions // chosen.steps)
+    ants = [AntMaze(chosen.maze, "collection", chosen.random_start, rule) for _ in range(min(MOST_ANTS, count))]
+    progress.start(name, transitions, unit="rows")
+    walks = record(
+        ants,
+        walker.policy,
+        count,
+        chosen.steps,
+        np.random.default_rng(seed),
+        lambda rows: progress.advance(min(rows, transitions)),
+    )
+    progress.close()
+    columns = columns_of(walks, chosen.goal, transitions)
+    statistics = statistics_of(walks, columns, ANT_MAZES[chosen.maze])
+    acceptance = acceptance_of(statistics)
+    terminated = columns["terminated"]
+    return Dataset.from_arrays(
+        **{key: columns[key] for key in ("observations", "actions", "rewards", "next_observations")},
+        terminated=terminated,
+        truncated=columns["truncated"],
+        action_bounds=(-1.0, 1.0),
+        infos={key: columns[key] for key in ("qpos", "qvel", "goal", "walk")},
+        provenance={
+            "name": name,
+            "origin": "locally generated data",
+            "environment": {
+                "name": "gymnasium",
+                "id": chosen.environment,
+                "kwargs": {},
+                "contact_margins": rule,
+            },
+            "generator": "odaf.environments.ant_maze_data",
+            "seed": seed,
+            "goal": list(chosen.goal),
+            "action_noise": ACTION_NOISE,
+            "policies": walker.facts,
+            "versions": {
+                **{package: version(package) for package in ("gymnasium", "mujoco", "numpy")},
+                "contact_margins": rule,
+            },
+            "statistics": statistics,
+            "acceptance": acceptance,
+            "findings": findings_of(acceptance),
+        },
+        source=name,
+    )
+
+
+def columns_of(walks: Walks, goal: tuple[float, float], transitions: int) -> dict[str, Any]:
+    """Walks as the first `transitions` rows of attempts at one goal, with the names of `Dataset` and of its infos.
+
+    A row earns 1 and ends the task where the position after it is within 0.5 m of `goal`. The last row of a walk, and
+    the last row of all, is cut where it does not.
+    """
+    count, steps = walks.actions.shape[:2]
+    rows = count * steps
+    bodies, after = (part.reshape(rows, -1) for part in (walks.bodies[:, :-1], walks.bodies[:, 1:]))
+    reached = np.linalg.norm(after[:, :2] - np.asarray(goal), axis=1) <= SUCCESS_RADIUS
+    last = np.zeros(rows, bool)
+    last[steps - 1 :: steps] = True
+    last[transitions - 1] = True
+    columns = {
+        "observations": bodies.astype(np.float32),
+        "actions": walks.actions.reshape(rows, -1),
+        "rewards": reached.astype(np.float32),
+        "next_observations": after.astype(np.float32),
+        "terminated": reached,
+        "truncated": last & ~reached,
+        "qpos": bodies[:, :15],
+        "qvel": bodies[:, 15:],
+        "goal": np.repeat(walks.goals, steps, axis=0),
+        "walk": np.repeat(np.arange(count), steps),
+    }
+    return {name: column[:transitions] for name, column in columns.items()}
