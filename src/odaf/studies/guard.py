@@ -4,11 +4,13 @@ A policy learns from a robot's medium log. Its guard is calibrated on other epis
 of false alarms is then counted in fresh episodes of the same, for which it is promised, and in the policy's own, for
 which it is not. Disturbed episodes are played three times from the same starts: unguarded, and with the cloned
 behaviour as the reaction at each rate. A knock takes the controls away for some simulator steps; an attack moves all
-that is seen, in the direction that the critics like least.
+that is seen from then on, in the direction that the critics like least. What happens in the steps after counts, in
+which hardly an episode ends by itself: over whole episodes a mediocre policy falls anyhow. Beside them stand the same
+steps of episodes that nothing disturbs.
 
-    detected         share of disturbed episodes with an alarm once they are disturbed
-    falls_avoided    (falls unguarded - falls guarded) / falls unguarded; below 0 where the guard does harm; None where
-                     nothing fell, or a body cannot fall
+    detected         share of disturbed episodes with an alarm after the disturbance, within the steps that count
+    falls_avoided    (falls unguarded - falls guarded) / falls unguarded, in these steps, of all disturbances together;
+                     below 0 where the guard does harm; None where nothing fell, or a body cannot fall
 """
 
 import json
@@ -36,7 +38,8 @@ RATES = (0.01, 0.05)
 LOG_SEED, CALIBRATION_SEED, FRESH_SEED = 11, 12, 13
 FALLS = {"hopper", "walker2d"}
 SIDE_BY_SIDE = 100  # episodes
-VERSION = 1  # raised when the same settings would give other figures
+NOTHING = "nothing"  # the name of no disturbance
+VERSION = 2  # raised when the same settings would give other figures
 
 Shown = Callable[[np.ndarray], np.ndarray]
 
@@ -52,11 +55,12 @@ class Guarding(Work):
         rows: of the log that it learns from.
         calibration: episodes set aside.
         fresh: episodes in which false alarms are counted, of the behaviour and of the policy.
+        counted: most steps of these.
         disturbed: episodes of each disturbance.
-        counted: most steps of an episode that is played.
-        knock_steps: simulator steps without control.
-        knock_at: counted step after which they come.
-        budget: of the attack, in standard deviations.
+        at: step after which it comes.
+        window: steps after it that count.
+        knocks: simulator steps without control, of each knock.
+        budgets: of each attack, in standard deviations.
         settings: of the guard, other than the defaults.
     """
 
@@ -66,11 +70,12 @@ class Guarding(Work):
     rows: int = 100_000
     calibration: int = 200
     fresh: int = 500
-    disturbed: int = 100
     counted: int = 1_000
-    knock_steps: int = 15
-    knock_at: int = 100
-    budget: float = 0.1
+    disturbed: int = 100
+    at: int = 100
+    window: int = 200
+    knocks: tuple[int, ...] = (15, 30, 45)
+    budgets: tuple[float, ...] = (0.1, 0.3)
     settings: tuple[tuple[str, Any], ...] = ()
 
     @property
@@ -83,7 +88,7 @@ class Guarding(Work):
         return {"robot": (self.robot,)}
 
     def guess(self) -> float:
-        return 1_800.0
+        return 900.0
 
     def said(self, record: Record) -> str:
         found = [f"{rate}: {each['detected']:.0%} detected" for rate, each in record["rates"].items()]
@@ -117,11 +122,12 @@ class Guarding(Work):
         rates = {}
         for index, rate in enumerate(RATES):
             by_kind = {kind: figures[index] for kind, figures in disturbances.items()}
+            disturbed = [figures for kind, figures in by_kind.items() if kind != NOTHING]
             rates[str(rate)] = {
                 "false_alarms": behaviour[index],
                 "false_alarms_policy": own[index],
-                "detected": float(np.mean([each["detected"] for each in by_kind.values()])),
-                "falls_avoided": _avoided(by_kind.values()) if self.robot in FALLS else None,
+                "detected": float(np.mean([each["detected"] for each in disturbed])),
+                "falls_avoided": _avoided(disturbed) if self.robot in FALLS else None,
                 "by_disturbance": by_kind,
                 "guard": made[index].to_dict(),
             }
@@ -170,35 +176,31 @@ class Guarding(Work):
         from odaf.training.run_directory import RunDirectory
 
         policy, judge = made[0].policy, Judge.of(RunDirectory(run), 0)
-        attack = ATTACKS["min-q"]
 
-        def attacked() -> Shown:
-            return AttackedPolicy(policy, attack, self.budget, jr.key(0), judge=judge).shown
+        def played(guards: "Sequence[GuardedPolicy]", knock: int, budget: float) -> "tuple[Episodes, np.ndarray]":
+            """The episodes, and [guards, episodes] which had an alarm once they were disturbed."""
+            attack = AttackedPolicy(policy, ATTACKS["min-q"], budget, jr.key(0), judge=judge)
+            watched = _Watched(guards, attack.shown if budget else None, self.at)
+            blow = Knock(knock, self.at)
+            episodes = _play(watched, environment, blow, self.disturbed, self.at + self.window, 1)
+            return episodes, watched.alarms()[self.at :].any(axis=0)
 
-        def seen() -> None:
-            return None
-
+        kinds = {NOTHING: (0, 0.0)}
+        kinds |= {f"knock, {steps} steps": (steps, 0.0) for steps in self.knocks}
+        kinds |= {f"attack, {budget:g}": (0, budget) for budget in self.budgets}
         found: dict[str, list[dict[str, Any]]] = {}
-        knock = Knock(self.knock_steps, self.knock_at)
-        for kind, blow, shown, since in (
-            ("knock", knock, seen, self.knock_at),
-            ("attack", Knock(0), attacked, 0),
-        ):
-            watched = _Watched(_only_warning(made), shown())
-            alone = _play(watched, environment, blow, self.disturbed, self.counted, 1)
-            there = np.asarray(alone.flags["knocked"]) if kind == "knock" else np.ones(self.disturbed, bool)
-            alarms = np.any(watched.alarms()[since:], axis=0)
+        for kind, (knock, budget) in kinds.items():
+            alone, alarms = played(_only_warning(made), knock, budget)
+            there = alone.lengths > self.at
             found[kind] = []
             for index, guarded in enumerate(made):
-                saved = _play(_Watched([guarded], shown()), environment, blow, self.disturbed, self.counted, 1)
+                saved, _ = played([guarded], knock, budget)
                 found[kind].append(
                     {
                         "episodes": int(there.sum()),
                         "detected": _share(alarms[index][there]),
                         "falls": int((~alone.flags["survived"][there]).sum()),
                         "falls_guarded": int((~saved.flags["survived"][there]).sum()),
-                        "mean_length": float(alone.lengths[there].mean()) if there.any() else None,
-                        "mean_length_guarded": float(saved.lengths[there].mean()) if there.any() else None,
                     }
                 )
         return found
@@ -210,16 +212,18 @@ class _Watched:
     Args:
         guards: of one policy.
         shown: what is seen in the place of the observations; None for these.
+        since: step from which on that is so.
     """
 
-    def __init__(self, guards: "Sequence[GuardedPolicy]", shown: Shown | None = None):
-        self._guards, self._shown, self._noted = guards, shown, list[np.ndarray]()
+    def __init__(self, guards: "Sequence[GuardedPolicy]", shown: Shown | None = None, since: int = 0):
+        self._guards, self._shown, self._since, self._noted = guards, shown, since, list[np.ndarray]()
 
     def begin(self, rows: int) -> tuple[Any, ...]:
         return tuple(guard.begin(rows) for guard in self._guards)
 
     def act(self, carry: tuple[Any, ...], observations: np.ndarray) -> tuple[np.ndarray, tuple[Any, ...]]:
-        seen = observations if self._shown is None else self._shown(observations)
+        deceived = self._shown is not None and len(self._noted) >= self._since
+        seen = self._shown(observations) if deceived and self._shown is not None else observations
         taken = [guard.act(each, seen) for guard, each in zip(self._guards, carry, strict=True)]
         self._noted.append(np.stack([each.alarm for _, each in taken]))
         return taken[0][0], tuple(each for _, each in taken)
@@ -282,27 +286,41 @@ def plan() -> list[Phase]:
 
 
 def table(records: Sequence[Record]) -> str:
-    """Markdown: a row for each robot and rate."""
+    """Markdown: a row for each robot and rate; then one for each robot and disturbance."""
     lines = [
-        f"Guards of policies on {LOCAL}, calibrated by episode; alarms counted in fresh episodes of whoever wrote the",
-        "log, for which the rate is promised, and of the policy. Disturbed episodes: knocked (15 simulator steps with",
-        "no control), and attacked by min-q (0.1 standard deviations). On an alarm the cloned behaviour acts. Made by",
-        "`odaf reproduce guard` from the records in this folder.",
+        f"Guards of policies on {LOCAL}, calibrated by episode. Alarms are counted in fresh episodes of whoever",
+        "wrote the log, for which the rate is promised, and of the policy. Made by `odaf reproduce guard` from the",
+        "records in this folder.",
         "",
-        "| robot | asked for | behaviour's episodes | policy's episodes | knocks detected | attacks detected "
-        "| falls, knocked | attacked | falls avoided |",
-        "|---|---|---|---|---|---|---|---|---|",
+        "| robot | asked for | behaviour's episodes | policy's episodes | detected | falls avoided |",
+        "|---|---|---|---|---|---|",
     ]
     for record in records:
         for rate, each in record["rates"].items():
-            knock, attack = each["by_disturbance"]["knock"], each["by_disturbance"]["attack"]
-            falls = [f"{kind['falls']} to {kind['falls_guarded']} of {kind['episodes']}" for kind in (knock, attack)]
-            avoided = "does not fall" if each["falls_avoided"] is None else f"{each['falls_avoided']:.0%}"
+            cannot = "nothing fell" if record["robot"] in FALLS else "does not fall"
+            avoided = cannot if each["falls_avoided"] is None else f"{each['falls_avoided']:.0%}"
             lines.append(
                 f"| {record['robot']} | {float(rate):.0%} | {each['false_alarms']:.1%} "
-                f"| {each['false_alarms_policy']:.1%} | {knock['detected']:.0%} | {attack['detected']:.0%} "
-                f"| {falls[0]} | {falls[1]} | {avoided} |"
+                f"| {each['false_alarms_policy']:.1%} | {each['detected']:.0%} | {avoided} |"
             )
+    rates = list(dict.fromkeys(rate for record in records for rate in record["rates"]))
+    asked = [f"{float(rate):.0%}" for rate in rates]
+    lines += [
+        "",
+        "What happens in the steps after a disturbance, at each rate that was asked for: episodes with an alarm, and",
+        "episodes that fall. Knocks take the controls away for so many simulator steps; attacks by min-q move what is",
+        "seen by so many standard deviations, from then on. On an alarm the cloned behaviour acts.",
+        "",
+        f"| robot | disturbance | episodes | {' | '.join(f'alarm, {rate}' for rate in asked)} | falls unguarded "
+        f"| {' | '.join(f'guarded, {rate}' for rate in asked)} |",
+        f"|{'---|' * (4 + 2 * len(rates))}",
+    ]
+    for record in records:
+        by_rate = [record["rates"][rate]["by_disturbance"] for rate in rates]
+        for kind, each in by_rate[0].items():
+            alarms = " | ".join(f"{figures[kind]['detected']:.0%}" for figures in by_rate)
+            falls = " | ".join(str(figures[kind]["falls_guarded"]) for figures in by_rate)
+            lines.append(f"| {record['robot']} | {kind} | {each['episodes']} | {alarms} | {each['falls']} | {falls} |")
     return "\n".join(lines) + "\n"
 
 
