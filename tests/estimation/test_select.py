@@ -1,5 +1,6 @@
 """Choosing among runs by estimates: what is ordered how, and a choice from the command line."""
 
+import dataclasses
 import importlib
 import json
 from collections.abc import Sequence
@@ -40,7 +41,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_highest_is_chosen_and_refused_ones_stand_behind(runs: Path, monkeypatch: pytest.MonkeyPatch):
-    # a: seeds worth 1 and 5, b: 4 and 4; the best checkpoint is a's, the best run b. Then a's 5 is refused.
+    # a: seeds worth 0 and 4, b: 3 and 3; the best checkpoint is a's, the best run b. Then a's 4 is refused.
     calls: list[int] = []
     told = iter([says(1.0), says(5.0), says(4.0), says(4.0)])
 
@@ -54,13 +55,21 @@ def test_the_highest_is_chosen_and_refused_ones_stand_behind(runs: Path, monkeyp
     heard: list[tuple[int, int]] = []
     found = odaf.select(runs / "several", runs / "log.h5", progress=lambda *far: heard.append(far))
     assert calls == [3, 1] and heard == [(5, 20), (15, 20)]
-    assert (Path(found.best.run).name, found.best.seed, found.best.worth) == ("a", 1, 5.0)
-    assert Path(found.best_run).name == "b" and [run.worth for run in found.runs] == [4.0, 3.0]
+    assert (Path(found.best.run).name, found.best.seed, found.best.worth) == ("a", 1, 4.0)
+    assert Path(found.best_run).name == "b" and [run.worth for run in found.runs] == [3.0, 2.0]
     assert found.notes == ("beware",) and "best checkpoint" in str(found)
     told = iter([says(1.0), says(5.0, "refused"), says(-2.0), says(-3.0)])
     found = odaf.select([runs / "several" / name for name in "ab"], runs / "log.h5")
-    assert [each.worth for each in found.candidates] == [1.0, -2.0, -3.0, 5.0]
+    assert [each.worth for each in found.candidates] == [0.0, -3.0, -4.0, 4.0]
     assert Path(found.best_run).name == "b" and [run.refused for run in found.runs] == [False, True]
+
+
+def test_what_is_high_and_uncertain_stands_behind_what_is_lower_and_sure():
+    sure, unsure = says(1.0)[0]["fqe"], says(5.0)[0]["fqe"]
+    unsure = dataclasses.replace(unsure, difference=Interval(5.0, -1.0, 11.0))
+    assert sure.least == 0.0 and unsure.least == -1.0
+    assert dataclasses.replace(sure, difference=None).least == -np.inf
+    assert dataclasses.replace(sure, difference=Interval(1.0, np.nan, np.nan)).least == -np.inf
 
 
 def test_the_probability_is_that_of_the_difference():

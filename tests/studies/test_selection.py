@@ -16,12 +16,10 @@ from odaf.training.progress import Silent
 SCORES = {"a": 10.0, "b": 40.0, "c": 20.0, "d": 30.0}
 
 
-def estimate(value: float | None, verdict: str = "not decided", calibrated: float | None = None) -> dict[str, Any]:
-    def interval(centre: float | None) -> dict[str, float | None] | None:
-        return None if centre is None else {"value": centre, "low": None, "high": None}
-
-    fqe = {"method": "fqe", "value": interval(value), "calibrated": interval(calibrated), "verdict": verdict}
-    wis = {"method": "wis", "value": None, "calibrated": None, "verdict": "refused"}
+def estimate(low: float, verdict: str = "not decided", width: float = 2.0) -> dict[str, Any]:
+    difference = {"value": low + width / 2, "low": low, "high": low + width}
+    fqe = {"method": "fqe", "difference": difference, "verdict": verdict}
+    wis = {"method": "wis", "difference": None, "verdict": "refused"}
     return {"estimates": [fqe, wis]}
 
 
@@ -39,8 +37,8 @@ def test_ways_to_choose_by_hand():
     estimates = {
         "a": estimate(1.0),
         "b": estimate(9.0, "refused"),
-        "c": estimate(2.0),
-        "d": estimate(0.0, calibrated=3.0),
+        "c": estimate(2.0, width=50.0),
+        "d": estimate(3.0),
     }
     found = json.loads(selection.summary(records(estimates)))["hopper-medium-train"]
     assert found["random"] == 25.0 and found["oracle"] == 40.0 and found["worst"] == 10.0 and found["log"] == 12.0

@@ -17,9 +17,10 @@ from odaf.cli.spelling import spelled
 class SelectOptions:
     """Choose among runs and their checkpoints from a log alone. Needs no simulator.
 
-    Every checkpoint is judged by one estimator of `odaf estimate`; those for which it refuses a verdict stand behind
-    all others. A run is worth the mean over its seeds of the best checkpoint of each. `better` is how probable it is
-    that a checkpoint's policy is worth more than what whoever wrote the log earned.
+    Every checkpoint is judged by one estimator of `odaf estimate`. The best is the one that is better than whoever
+    wrote the log by most at the least, by the lower end of the interval; those for which the estimator refuses a
+    verdict stand behind all others. A run is worth the mean over its seeds of the best checkpoint of each. `better` is
+    how probable it is that a checkpoint's policy is worth more than what whoever wrote the log earned.
 
     The log must be one that no run learned from: set episodes aside with `odaf data split` before training.
     """

@@ -1,8 +1,10 @@
-"""Choosing among runs and their checkpoints without a simulator: the one that an estimator puts highest on a hold-out.
+"""Choosing among runs and their checkpoints without a simulator, by what an estimator says of them on a hold-out.
 
 Every checkpoint that a run keeps is a candidate. Candidates of one call are judged on the same resampled episodes, so
-that the chance in these does not decide between them. Those for which the estimator refuses a verdict stand behind all
-others. A run is worth the mean over its seeds of the best candidate of each.
+that the chance in these does not decide between them. The best is the one that is better than whoever wrote the log by
+most *at the least*: by the lower end of the interval of the difference. Estimates are highest of policies that leave
+the log, where nothing contradicts them, and so are their intervals widest. Those for which the estimator refuses a
+verdict stand behind all others. A run is worth the mean over its seeds of the best candidate of each.
 """
 
 import dataclasses
@@ -47,9 +49,8 @@ class Candidate:
 
     @property
     def worth(self) -> float:
-        """By which candidates are ordered; minus infinity without an estimate."""
-        found = self.estimate.best_value
-        return -np.inf if found is None or not np.isfinite(found.value) else found.value
+        """By which candidates are ordered: `ValueEstimate.least`."""
+        return self.estimate.least
 
     @property
     def refused(self) -> bool:
@@ -92,7 +93,7 @@ class Selection:
 
     @property
     def best(self) -> Candidate:
-        """The checkpoint that is estimated highest."""
+        """The checkpoint that is better than the log by most at the least."""
         return self.candidates[0]
 
     @property
@@ -115,6 +116,7 @@ class Selection:
         best, lines = self.best, [table(header, rows), ""]
         sums = "plain sums of rewards" if self.discount == 1.0 else f"discount {self.discount:g}"
         lines.append(f"{ESTIMATORS[self.method]}, to step {self.horizon:,}, {sums}")
+        lines.append("ordered by the lower end of `beside the behaviour`, those without a verdict behind all others")
         lines.append(f"best run: {self.best_run}")
         lines.append(f"best checkpoint: {best.run}, seed {best.seed}, step {best.step:,}")
         if best.refused:

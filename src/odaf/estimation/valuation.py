@@ -94,6 +94,16 @@ class ValueEstimate:
         """The calibrated value, or else the value."""
         return self.value if self.calibrated is None else self.calibrated
 
+    @property
+    def least(self) -> float:
+        """Lower end of the difference from the behaviour's value: what the policy is better by at the least.
+
+        A choice goes by this. An estimate is highest where it knows least, and there its interval is widest. Minus
+        infinity without an estimate.
+        """
+        found = self.difference
+        return found.low if found is not None and math.isfinite(found.low) else -math.inf
+
 
 @dataclass(frozen=True)
 class Valuation:

@@ -169,13 +169,12 @@ def expected_best(scores: Sequence[float], tries: int) -> float:
 
 
 def chosen_by(estimates: Mapping[str, Any], method: str) -> str | None:
-    """The policy that an estimator puts highest; those that it refuses stand behind all others."""
+    """The policy that `odaf select` would choose by this estimator."""
 
     def place(name: str) -> tuple[bool, float]:
         each = next(each for each in estimates[name]["estimates"] if each["method"] == method)
-        interval = each["calibrated"] or each["value"]
-        value = -math.inf if interval is None or interval["value"] is None else interval["value"]
-        return each["verdict"] != "refused", value
+        low = None if each["difference"] is None else each["difference"]["low"]
+        return each["verdict"] != "refused", -math.inf if low is None else float(low)
 
     best = max(estimates, key=place)
     return best if math.isfinite(place(best)[1]) else None
@@ -221,9 +220,10 @@ def table(records: Sequence[Record]) -> str:
         f"Normalised scores on {LOCAL}, 0 for a random policy and 100 for an expert:",
         f"one of {len(GRID)} settings of `{PRESET}` ({FIELD} {GRID[0]:g} to {GRID[-1]:g}, {STEPS:,} updates,",
         "one seed) chosen in different ways. `random` is the mean of all, `best of three` the expected best of three",
-        f"tried in the simulator, `chosen` the one that {CHOOSES} puts highest on a hold-out of {HOLDOUT:.0%} of the",
-        "episodes, without a simulator; the other estimators stand behind it. `half way` says whether it is at least",
-        "half way from random to best of three. Made by `odaf reproduce selection` from the records in this folder.",
+        f"tried in the simulator, `chosen` the one that `odaf select` takes by {CHOOSES} on a hold-out of",
+        f"{HOLDOUT:.0%} of the episodes, without a simulator; the other estimators stand behind it. `half way` says",
+        "whether it is at least half way from random to best of three. Made by `odaf reproduce selection` from the",
+        "records in this folder.",
         "",
         "| log | log's mean | worst | random | chosen | best of three | oracle | half way | by the others |",
         "|---|---|---|---|---|---|---|---|---|",
