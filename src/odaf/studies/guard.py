@@ -183,7 +183,7 @@ class Guarding(Work):
             watched = _Watched(guards, attack.shown if budget else None, self.at)
             blow = Knock(knock, self.at)
             episodes = _play(watched, environment, blow, self.disturbed, self.at + self.window, 1)
-            return episodes, watched.alarms()[self.at :].any(axis=0)
+            return episodes, np.asarray(np.any(watched.alarms()[self.at :], axis=0))
 
         kinds = {NOTHING: (0, 0.0)}
         kinds |= {f"knock, {steps} steps": (steps, 0.0) for steps in self.knocks}
