@@ -60,18 +60,23 @@ def test_a_walker_is_shown_in_training_what_the_controller_shows_it():
     np.testing.assert_allclose(shown[-2:], [0.0, 10.0])
 
 
-def test_a_walker_is_paid_for_its_way_along_the_direction():
+def test_a_walker_is_paid_for_its_way_along_the_direction_and_pays_for_a_tilt():
     walker, rng = AntWalker(), np.random.default_rng(0)
     walker.reset(5)
-    actions, directions, paid, places = rng.uniform(-1, 1, (201, 8)), [], [], [walker.position]
+    actions, directions, places = rng.uniform(-1, 1, (201, 8)), [], [walker.position]
+    paid, uprights = [], []
     direction = walker.towards(np.array([1.0, 1.0]))[-2:] / 10.0
     shown = walker.reset(5)
     for action in actions:
         directions.append(shown[-2:] / 10.0)
         shown, reward, _ = walker.step(action)
         paid.append(reward)
+        uprights.append(uprightness(walker.body()))
         places.append(walker.position)
-    np.testing.assert_allclose(np.sum(np.diff(places, axis=0) * directions, axis=1), 0.1 * np.array(paid), atol=1e-12)
+    speeds = np.sum(np.diff(places, axis=0) * directions, axis=1) / 0.1
+    tilts = np.maximum(0.0, 0.9 - np.array(uprights))
+    np.testing.assert_allclose(speeds - 10.0 * tilts, paid, atol=1e-9)
+    assert (tilts == 0.0).any()
     changes = np.flatnonzero(np.any(np.diff(directions, axis=0) != 0.0, axis=1)) + 1
     assert changes.tolist() == [100, 200], "one direction for a hundred steps"
     np.testing.assert_allclose(direction, np.sqrt([0.5, 0.5]))
@@ -87,7 +92,8 @@ def test_an_ant_on_its_back_has_turned_over_and_one_on_its_side_not_yet():
     walker.reset(0)
     assert not walker.step(np.zeros(8))[2]
     walker._data.qpos[:7] = ON_ITS_BACK
-    assert walker.step(np.zeros(8))[2]
+    _, reward, flipped = walker.step(np.zeros(8))
+    assert flipped and reward < -10.0
 
 
 def test_walks_end_at_the_waypoint_or_with_the_steps(monkeypatch):

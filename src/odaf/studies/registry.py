@@ -1,6 +1,7 @@
 """The studies by name; one more is one more entry."""
 
 from odaf.studies.ablation import STUDY as ABLATION
+from odaf.studies.antmaze import STUDY as ANTMAZE
 from odaf.studies.attacks import STUDY as ATTACKS
 from odaf.studies.estimates import STUDY as ESTIMATES
 from odaf.studies.generators import STUDY as GENERATORS
@@ -25,6 +26,6 @@ STUDIES: dict[str, Study] = {
     study.name: study
     for study in (
         *(POINTMAZE, OUTCOME, LOCOMOTION, RIVALS, SCOREBOARD, GENERATORS, ESTIMATES, SELECTION, THEORY, GUARD, PLANT),
-        *(VALIDATION, ATTACKS, KNOCKS, ABLATION, MIXTURES, MUJOCO, SWEEPS, POINTMAZE_SEARCH),
+        *(VALIDATION, ANTMAZE, ATTACKS, KNOCKS, ABLATION, MIXTURES, MUJOCO, SWEEPS, POINTMAZE_SEARCH),
     )
 }

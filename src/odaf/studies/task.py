@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from odaf.studies.ant_maze_logs import AntMazeLog
 from odaf.studies.logs import MazeLog, MixedLog, RecordedLog
 from odaf.studies.public_logs import PublicLog, PublicMixture
 
@@ -37,7 +38,7 @@ class Task:
         version: raised when the same log and evaluation would give other scores. Older records have 1.
     """
 
-    log: MazeLog | MixedLog | RecordedLog | PublicLog | PublicMixture
+    log: MazeLog | AntMazeLog | MixedLog | RecordedLog | PublicLog | PublicMixture
     evaluation: Evaluation
     score: str = "mean_return"
     field: str = "task"

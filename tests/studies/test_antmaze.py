@@ -1,0 +1,55 @@
+"""The ant-maze study: its logs, its plan, its table and its summary."""
+
+import json
+from typing import Any
+
+import pytest
+
+from odaf.studies import antmaze
+from odaf.studies.ant_maze_logs import AntMazeLog, walker_print
+from odaf.studies.training import Training
+
+
+def record_of(method: str, seed: int, success: float | None, task: str = "antmaze-umaze") -> dict[str, Any]:
+    return {
+        "task": task, "environment": "odaf/AntMaze-UMaze-v0", "method": method, "seed": seed, "steps": 300_000,
+        "data": {"transitions": 90, "reached_share": 0.75, "flipped_share": 0.25, "goal_walks": 12},
+        "seconds": {"total": 60.0 + seed}, "final": None if success is None else {"normalised_score": success},
+    }  # fmt: skip
+
+
+RECORDS = [record_of("iql", 0, 60.0), record_of("iql", 1, 80.0), record_of("td3-bc", 0, None)]
+
+
+def test_table_and_summary_have_the_success_and_its_interval_over_seeds() -> None:
+    # Mean 70, standard error 10, t(0.975, 1) = 12.7062.
+    lines = antmaze.table(RECORDS).splitlines()
+    assert lines[-2:] == [
+        "| iql | 300,000 | 2 | 70.0 | [-57.1, 197.1] | 60 |",
+        "| td3-bc | 300,000 | 1 | 1 of 1 diverged | | 60 |",
+    ]
+    assert "75% of its walks reach their own goal, 25% end on their back; 12 walks pass" in lines[-6]
+    summary = json.loads(antmaze.summary(RECORDS))["antmaze-umaze"]
+    assert summary["iql"]["interval"] == [pytest.approx(-57.062, abs=1e-3), pytest.approx(197.062, abs=1e-3)]
+    figures = {name: value for name, value in summary["iql"].items() if name != "interval"}
+    assert figures == {"updates": 300_000, "success": 70.0, "seeds": [0, 1], "diverged": 0, "seconds": 60.5}
+    assert summary["td3-bc"]["success"] is None and summary["td3-bc"]["diverged"] == 1
+
+
+def test_every_method_of_the_plan_resolves_with_its_values_for_the_maze() -> None:
+    works = [job.do for job in antmaze.STUDY.jobs() if isinstance(job.do, Training)]
+    assert {work.task.name for work in works} == set(antmaze.SMALL + antmaze.OTHERS)
+    assert len({work.name for work in works}) == len(works) == 6 * 10 * 4
+    learners = {work.method: work.learner() for work in works if work.task.name == "antmaze-medium-play"}
+    assert set(learners) == set(antmaze.FIRST + antmaze.LATER)
+    assert (learners["iql"].expectile, learners["iql"].reward_shift) == (0.9, -1.0)
+    assert (learners["rebrac"].actor_penalty, learners["rebrac"].reward_scale) == (0.001, 100.0)
+    raw = {name for name, learner in learners.items() if learner.observation_scaling == "none"}
+    assert raw == {"iql", "rebrac", "spot", "cql"}
+
+
+def test_a_log_is_told_by_its_rows_seed_and_walker() -> None:
+    log = AntMazeLog("antmaze-umaze")
+    assert log.name == "antmaze-umaze" and AntMazeLog("antmaze-umaze", 100_000).name == "antmaze-umaze-100k"
+    assert log.recipe()["walker_sha256"] == walker_print()
+    assert log.recipe() != AntMazeLog("antmaze-umaze", seed=1).recipe()
