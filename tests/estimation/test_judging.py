@@ -94,6 +94,19 @@ def test_rare_actions_refuse_only_where_no_model_says_what_they_lead_to():
     assert found.unlike_states is None
 
 
+def test_a_model_that_leads_the_behaviour_itself_astray_has_no_say():
+    made = of_policy(off=0.0)
+    made.by_members["model"] = dataclasses.replace(made.by_members["model"], strays=0.6)
+    (found,) = made.valuations(("fqe", "model", "blend"))
+    assert [each.verdict for each in found.estimates] == ["worse", "refused", "worse"]
+    assert "60% of the states that the model leads whoever wrote the log to" in found["model"].reason
+    assert found.unlike_states is None and "weight_model" not in found["blend"].figures
+    rare = of_policy(off=0.0, unlike=0.9)
+    rare.by_members["model"] = dataclasses.replace(rare.by_members["model"], strays=0.6)
+    (found,) = rare.valuations(("fqe",))
+    assert found["fqe"].verdict == "refused" and "90% of the policy's actions are unlike" in found["fqe"].reason
+
+
 def test_where_both_controls_fail_the_blend_is_refused_for_both_reasons():
     made = of_policy(off=50.0)
     made.by_members["model"] = made.by_members["fqe"]

@@ -4,7 +4,7 @@ Fitted Q and rollouts of a model judge the behaviour itself too, whose value is 
 twice. It is the control: where an estimator misses what the log earned, it does not hold for this log. And it
 calibrates: to what the log earned is added by how much the estimator puts the policy above the behaviour, member by
 member, so that what it gets wrong for both cancels. The model says, too, where the policy comes to, and so how much of
-what it earns the log leaves open.
+what it earns the log leaves open; the behaviour's own states are the control of that.
 """
 
 from collections.abc import Sequence
@@ -81,8 +81,9 @@ class Beside:
         fitted = self._fit(density, stages.next()) if wants_q else []
         model = fit_model(self.log, self.key_model, stages.next()) if "model" in needed else None
         behaviour = Player(density.model, np.zeros(()), np.ones(()), True)
-        modelled = None if model is None else model.play(replace(behaviour, **_scaling(self.log.normaliser))).values
+        modelled = None if model is None else model.play(replace(behaviour, **_scaling(self.log.normaliser)))
         outcomes = None if model is None else KnownOutcomes(self.log)
+        strays = 0.0 if modelled is None or outcomes is None else outcomes.unknown(modelled.visited)[0].share
         found = []
         for number, judged in enumerate(self.judged):
             known = replace(judged, unlike=density.share_unlike(self.log.actions, judged.actions[:, 0]))
@@ -90,7 +91,7 @@ class Beside:
             if model is not None and modelled is not None and outcomes is not None:
                 player = Player(judged.policy.actor, **_scaling(judged.policy.normaliser), draws=self.acting == "draws")
                 played = model.play(player)
-                by_model = ByMembers(played.values, modelled, {"loss": model.loss})
+                by_model = ByMembers(played.values, modelled.values, {"loss": model.loss, "strays": strays}, strays)
                 unknown = outcomes.unknown(played.visited)
             own_q = (fitted[number], fitted[-1]) if wants_q else None
             of_policy = OfPolicy(self.log, self.acting, known, own_q, by_model, unknown, density, log_probs)

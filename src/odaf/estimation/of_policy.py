@@ -4,6 +4,7 @@ Estimators are not believed of a log for these reasons:
 
 - weighing ones: fewer than 10 effective episodes;
 - fitted Q and the model: the control fails: asked for the behaviour, they miss what it is known to have earned;
+- the model: it leads the behaviour itself, too, mostly to states unlike the log's;
 - doubly robust: for the reasons of the weights or of fitted Q; the blend leaves out which fails, and fails with both.
 
 What unlike states may earn is the model's to say. Without it, or where its control fails, no one knows where the
@@ -57,11 +58,13 @@ class ByMembers:
             first the ensemble's, then every member's at the starts of its own episodes.
         behaviour: the same of the behaviour.
         figures: further numbers.
+        strays: share of the behaviour's own steps that lead to states unlike the logged ones.
     """
 
     values: np.ndarray
     behaviour: np.ndarray
     figures: Mapping[str, float]
+    strays: float = 0.0
 
 
 class OfPolicy:
@@ -274,8 +277,13 @@ class OfPolicy:
         )
 
     def _doubts(self, name: str, place: int) -> list[str]:
-        """Why an ensemble should not be believed of this log; the behaviour's own value is the control."""
-        confidence = self.log.settings.confidence
+        """Why an ensemble should not be believed of this log; the behaviour's own value and states are the control."""
+        confidence, strays = self.log.settings.confidence, self.by_members[name].strays
+        if strays > LARGEST_SHARE_UNLIKE:
+            return [
+                f"{strays:.0%} of the states that the model leads whoever wrote the log to are unlike those that were "
+                "logged: it does not hold for this log"
+            ]
         of_behaviour = self.by_members[name].behaviour[place, 0]
         said = Interval.of_members(float(of_behaviour[0]), of_behaviour[1:], confidence)
         values = self.log.own[place][0]

@@ -30,7 +30,7 @@ FIXED_ON = (0, 1)  # logs by which the recommended estimator is chosen
 ROWS = 100_000
 HORIZON = 1_000
 CONFIDENCE = 0.95
-VERSION = 2  # raised when the same settings would give other estimates
+VERSION = 3  # raised when the same settings would give other estimates
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,7 @@ EVALUATION = Evaluation(every=10_000, episodes=20)
 HORIZON = 1_000
 CHOOSES = "fqe"  # the estimator of "chosen"; the table has the others
 TRIES = 3  # in the simulator, of "best_of_three"
-VERSION = 2
+VERSION = 3
 
 
 @dataclass(frozen=True)
