@@ -11,6 +11,7 @@ __version__ = "0.2.0"
 
 _HOME_OF = {
     "BehaviourCloning": "odaf.algorithms.behaviour_cloning",
+    "BehaviourDistance": "odaf.algorithms.terms",
     "CheckpointError": "odaf.errors",
     "ConfigError": "odaf.errors",
     "Conservative": "odaf.algorithms.terms",
@@ -86,6 +87,7 @@ if TYPE_CHECKING:
     from odaf.algorithms.ensemble_sac import EnsembleSAC
     from odaf.algorithms.registry import register
     from odaf.algorithms.terms import (
+        BehaviourDistance,
         Conservative,
         GradientDiversity,
         InverseDynamicsAlignment,
@@ -113,6 +115,7 @@ if TYPE_CHECKING:
 __all__ = [
     "ODAF",
     "BehaviourCloning",
+    "BehaviourDistance",
     "CheckpointError",
     "ConfigError",
     "Conservative",

@@ -14,6 +14,7 @@ from odaf.algorithms.behaviour_cloning import BehaviourCloning
 from odaf.algorithms.ensemble_sac import EnsembleSAC
 from odaf.algorithms.registry import ALGORITHMS
 from odaf.algorithms.terms import (
+    BehaviourDistance,
     Conservative,
     GradientDiversity,
     InverseDynamicsAlignment,
@@ -105,6 +106,7 @@ other_terms = (
     | _settings(InverseDynamicsAlignment, weight=amounts, state_noise=amounts, model=inverse_models)
     | _settings(InverseDynamicsValues, weight=amounts, num_actions=counts, model=inverse_models)
     | _settings(Conservative, weight=amounts, num_actions=counts)
+    | _settings(BehaviourDistance, weight=amounts, target_weight=amounts)
     | _settings(StateDeviation, weight=amounts, num_draws=counts, kernel_width=st.none() | rates)
 )
 learners = _settings(

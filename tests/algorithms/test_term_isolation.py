@@ -12,6 +12,7 @@ from odaf.algorithms import config
 from odaf.algorithms.ensemble_sac import EnsembleSAC
 from odaf.algorithms.registry import TERMS
 from odaf.algorithms.terms import (
+    BehaviourDistance,
     Conservative,
     GradientDiversity,
     InverseDynamicsAlignment,
@@ -114,6 +115,7 @@ EACH = (
     InverseDynamicsValues(num_actions=2, model=INVERSE),
     Conservative(num_actions=2),
     StateDeviation(num_draws=2, dynamics=tiny.dynamics_config(kind="ensemble"), transitions=TRANSITIONS),
+    BehaviourDistance(),
 )
 
 

@@ -176,3 +176,39 @@ def test_without_a_warm_start_nothing_measures_the_logs_randomness():
     for number, expected in ((None, -tiny.SPEC.act_dim), (-0.5, -0.5)):
         state = EnsembleSAC(**tiny.SMALL, target_entropy=number).init(jr.key(0), tiny.SPEC, Models())
         assert float(state.target_entropy) == expected
+
+
+def _two_controllers(episodes: int = 30, length: int = 10) -> Dataset:
+    """A tenth of the episodes push one way and earn 1 a row, the others push the other way and earn nothing."""
+    rng = np.random.default_rng(0)
+    rows = episodes * length
+    good = np.repeat(np.arange(episodes) % 10 == 0, length)
+    return Dataset.from_arrays(
+        rng.normal(size=(rows, 3)),
+        np.where(good, 0.6, -0.6)[:, None] + 0.01 * rng.normal(size=(rows, 1)),
+        good.astype(float),
+        next_observations=rng.normal(size=(rows, 3)),
+        truncated=np.arange(rows) % length == length - 1,
+        action_bounds=(-1.0, 1.0),
+    )
+
+
+@pytest.mark.parametrize("sampling", ["return", "best"])
+def test_the_start_is_fitted_to_the_rows_that_batches_hold_where_asked_for(sampling):
+    dataset = _two_controllers()
+    normaliser = Normaliser.fit(dataset.observations)
+    observations = jnp.asarray(normaliser.normalise(dataset.observations))
+
+    def mean_action(**fields) -> tuple[float, float]:
+        settings = {**SMALL, "hidden_sizes": (8,), "warm_start_steps": 400, "critic_learning_rate": 1e-2}
+        learner = EnsembleSAC(**settings, sampling=sampling, **fields)
+        start = learner.pretrain(dataset, normaliser, jr.key(0), _ignore)[0].warm_start
+        assert start is not None
+        actions = start.actor.mode(observations)
+        return float(jnp.mean(actions)), float(jnp.mean(start.critics(observations, actions)))
+
+    action, value = mean_action(warm_start_rows="drawn", return_temperature="auto")
+    assert action == pytest.approx(0.6, abs=0.15) and value > 5.0, "the good ones earn 10 at this discount"
+    assert mean_action(warm_start_rows="all")[0] < 0.0, "nine rows in ten push the other way"
+    everything = EnsembleSAC(**SMALL, warm_start_rows="drawn")
+    assert everything._warm_start_rows(dataset, jr.key(0)) is None, "uniform batches hold every row alike"

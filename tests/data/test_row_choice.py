@@ -11,8 +11,17 @@ from scipy import stats
 
 from odaf.algorithms.numbers import changed
 from odaf.data import Dataset, Normaliser, Transitions, sample, training_columns
+from odaf.data.between_episodes import between_episodes
 from odaf.data.mixture import Mixture
-from odaf.data.row_choice import RowChoice, chosen_episodes, effective_rows, episode_merits, episode_weights
+from odaf.data.row_choice import (
+    RowChoice,
+    chosen_episodes,
+    effective_rows,
+    episode_merits,
+    episode_weights,
+    for_log,
+    log_weights,
+)
 from odaf.data.sampling import Slab, WeightedColumns, row_weights, training_column_shapes
 from odaf.data.view import View
 from odaf.errors import ConfigError, DatasetError
@@ -138,6 +147,53 @@ def test_starts_that_say_nothing_leave_the_weights_by_return(columns):
     np.testing.assert_allclose(by_advantage, by_return, rtol=1e-12)
 
 
+BY_LOG = RowChoice(sampling="return", return_temperature="auto")
+
+
+def within(returns, lengths, spread: float):
+    """Episodes of these returns whose rewards go up and down by `spread` from row to row."""
+    dataset = log(returns, lengths)
+    sign = np.where(np.arange(len(dataset)) % 2 == 0, spread, -spread).astype(np.float32)
+    return replace(dataset, rewards=dataset.rewards + sign)
+
+
+def test_the_temperature_taken_from_the_log_is_a_tenth_over_the_share_of_variance_between_episodes():
+    # Rewards 0 and 2 by episode, and 1 up or down by row: a variance of 1 between episodes and of 1 within them.
+    dataset = within([0.0, 20.0] * 600, [10] * 1200, 1.0)
+    assert between_episodes(dataset.episode_returns(), np.full(1200, 10.0), 2.0) == pytest.approx(0.5)
+    found = for_log(dataset, BY_LOG)
+    assert found.return_temperature == pytest.approx(0.2, rel=1e-6)
+    np.testing.assert_allclose(
+        log_weights(dataset, BY_LOG), np.tile(np.repeat([np.exp(-5.0), 1.0], 10), 600), rtol=1e-5
+    )
+    np.testing.assert_array_equal(row_weights(dataset, View(choice=BY_LOG)), log_weights(dataset, found))
+    assert for_log(dataset, BY_RETURN) is BY_RETURN
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1.0, 1e4])
+def test_the_more_episodes_differ_the_sharper_and_the_unit_of_the_reward_does_not_matter(scale):
+    shares = []
+    for spread in (0.0, 1.0, 30.0):
+        dataset = within(scale * np.linspace(0.0, 20.0, 1200), [10] * 1200, scale * spread)
+        shares.append(effective_rows(row_weights(dataset, View(choice=BY_LOG))) / len(dataset))
+    assert shares[0] == pytest.approx(0.2, rel=0.01)  # of returns spread evenly, at 0.1
+    assert shares[0] < shares[1] < shares[2] and shares[2] > 0.99
+
+
+def test_a_tenth_of_a_small_log_is_left_even_if_one_episode_is_far_better():
+    dataset = log([0.0] * 99 + [20.0], [10] * 100)
+    found = for_log(dataset, BY_LOG)
+    assert isinstance(found.return_temperature, float) and found.return_temperature > 0.1
+    sharper = replace(found, return_temperature=found.return_temperature / 1.25)
+    assert effective_rows(log_weights(dataset, found)) >= 100.0 > effective_rows(log_weights(dataset, sharper))
+
+
+def test_episodes_that_differ_by_their_length_alone_are_drawn_alike():
+    lengths = [5, 50, 500]
+    dataset = log(lengths, lengths)
+    assert np.ptp(row_weights(dataset, View(choice=BY_LOG))) < 0.02
+
+
 @pytest.mark.parametrize("returns", [[4.0], [2.0, 2.0, 2.0], [-1e30, -1e30]])
 def test_equal_returns_and_a_single_episode_draw_all_alike(returns):
     lengths = [4] * len(returns)
@@ -253,6 +309,7 @@ def test_returns_that_are_no_numbers_and_mixed_batches_are_refused(sampling):
     [
         ({"sampling": "return", "return_temperature": 0.0}, "return_temperature=0.0 must be positive"),
         ({"sampling": "return", "return_temperature": float("nan")}, "return_temperature=nan must be positive"),
+        ({"sampling": "return", "return_temperature": "hot"}, "return_temperature=hot must be positive"),
         ({"sampling": "best", "best_share": 0.0}, r"best_share=0.0 must lie in \(0, 1\]"),
         ({"sampling": "best", "best_share": 1.5}, "best_share=1.5"),
         ({"sampling": "advantage", "return_temperature": -1.0}, "return_temperature=-1.0 must be positive"),

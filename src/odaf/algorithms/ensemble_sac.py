@@ -47,9 +47,10 @@ from odaf.components.trained import Trained
 from odaf.data.dataset import Dataset
 from odaf.data.normalisation import Normaliser
 from odaf.data.returns_to_go import returns_to_go
+from odaf.data.row_choice import log_weights
 from odaf.data.spec import Spec
 from odaf.data.transitions import Transitions
-from odaf.data.view import View
+from odaf.data.view import Extra, View
 
 LARGEST_SCALED_VALUE = 10.0  # of `reward_scale="auto"`
 
@@ -71,8 +72,10 @@ class EnsembleSAC(EnsembleSettings):
         return (base,) if self.prior_scale == 0.0 else (base, citations.PRIORS)
 
     def view(self) -> View:
-        """Rows of `return_steps` steps; rewards are scaled by the learner itself."""
-        return View(self.return_steps, self.discount, normaliser_epsilon=self.normaliser_epsilon)
+        """Rows of `return_steps` steps, with what the terms read beside; rewards are scaled by the learner itself."""
+        wanted: list[Extra] = [extra for term in self.active_terms for extra in term.extras()]
+        extras = tuple(dict.fromkeys(wanted))
+        return View(self.return_steps, self.discount, normaliser_epsilon=self.normaliser_epsilon, extras=extras)
 
     # ---- before training ----------------------------------------------------------------------------------------
 
@@ -113,10 +116,19 @@ class EnsembleSAC(EnsembleSettings):
             steps=self.warm_start_steps,
             batch_size=self.batch_size,
             learning_rate=self.critic_learning_rate,
+            rows=self._warm_start_rows(dataset, key),
             progress=lambda done, steps: progress("warm start", done, steps),
         )
         entropy = jnp.asarray(-findings["action_log_density"], dtype=jnp.float32)
         return WarmStart(actor, critics, entropy), findings
+
+    def _warm_start_rows(self, dataset: Dataset, key: PRNGKeyArray) -> np.ndarray | None:
+        """As many rows as the log has, drawn as often as the settings say; None is every row once."""
+        if self.warm_start_rows == "all" or self.sampling == "uniform":
+            return None
+        weights = log_weights(dataset, self.row_choice())
+        seed = jr.bits(jr.fold_in(key, zlib.crc32(b"warm start rows")), (4,))
+        return np.random.default_rng(np.asarray(seed)).choice(len(dataset), len(dataset), p=weights / weights.sum())
 
     def init(self, key: PRNGKeyArray, spec: Spec, models: Models) -> EnsembleState:
         """Random networks or those of the warm start, slow copies equal to them, fresh optimisers."""
@@ -230,7 +242,7 @@ class EnsembleSAC(EnsembleSettings):
         loss = soft_actor_loss(log_density, values, jnp.exp(state.log_temperature.now))
         value = jnp.mean(values) / state.reward_scale
         metrics = {"actor/loss": loss, "actor/value": value, "actor/entropy": -jnp.mean(log_density)}
-        context = self._context(state, batch, actor=actor)
+        context = self._context(state, batch, actor=actor, values=values)
         for term, own in zip(self.active_terms, state.terms, strict=True):
             if term.acts_on_actor:
                 addition, more = term.actor_loss(context, own, _key_for(term, key))
@@ -278,6 +290,7 @@ class EnsembleSAC(EnsembleSettings):
         *,
         actor: GaussianActor | None = None,
         critics: CriticEnsemble | None = None,
+        values: Float[Array, " rows"] | None = None,
     ) -> Context:
         return Context(
             batch=batch,
@@ -287,6 +300,7 @@ class EnsembleSAC(EnsembleSettings):
             target_critics=state.target_critics,
             value_bounds=state.value_bounds,
             step=state.step,
+            values=values,
         )
 
 

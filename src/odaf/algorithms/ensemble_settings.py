@@ -67,6 +67,9 @@ class EnsembleSettings(Algorithm[EnsembleState]):
     """"returns" first fits the critics to the logged discounted returns and the actor to the logged actions."""
     warm_start_steps: int = 4000
     """Updates of that fit."""
+    warm_start_rows: Literal["all", "drawn"] = "all"
+    """Rows of that fit: all alike, or as often as `sampling` draws them for the actor, so that a start from a mostly
+    poor log is one from its better part."""
     target_rate: float = 5e-3
     """Share of the online critics that enters the target critics at each update."""
     slow_actor_rate: float = 5e-3

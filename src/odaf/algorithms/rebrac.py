@@ -26,6 +26,7 @@ from odaf.algorithms import citations
 from odaf.algorithms.base import Metrics
 from odaf.algorithms.twin_delayed import TwinDelayed, TwinDelayedState
 from odaf.components.critics import OUTPUT_BOUND, CriticEnsemble, init_critics
+from odaf.components.losses import squared_distance
 from odaf.components.networks import init_mlp
 from odaf.components.numbers import Number
 from odaf.components.policies import HEAD_BOUND, DeterministicActor
@@ -34,13 +35,6 @@ from odaf.data.spec import Spec
 from odaf.data.transitions import Transitions
 from odaf.data.view import View
 from odaf.errors import ConfigError
-
-
-def squared_distance(
-    actions: Float[Array, "rows act_dim"], logged: Float[Array, "rows act_dim"]
-) -> Float[Array, " rows"]:
-    """||a - a'||^2, summed over action dimensions."""
-    return jnp.sum(jnp.square(actions - logged), axis=-1)
 
 
 def actor_loss(

@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, PRNGKeyArray
+from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from odaf.components.critics import CriticEnsemble
 from odaf.components.distributions import tanh_gaussian_log_density
@@ -43,6 +43,7 @@ def fit_to_log(
     batch_size: int,
     learning_rate: float,
     progress: Progress,
+    rows: Int[np.ndarray, " drawn"] | None = None,
 ) -> tuple[SomeActor, SomeCritics, dict[str, float]]:
     """Adam on both losses, with fresh moments that are thrown away afterwards.
 
@@ -57,6 +58,7 @@ def fit_to_log(
         batch_size: rows an update.
         learning_rate: step size.
         progress: called with (steps done, steps in all).
+        rows: of the log, that batches are drawn from, some more than once; None takes every row once.
 
     Returns:
         The fitted networks, and the losses of the last stretch: mean squared error of the critics over rows and members
@@ -67,6 +69,8 @@ def fit_to_log(
         scale_actions(dataset.actions, dataset.action_low, dataset.action_high), -LARGEST_ACTION, LARGEST_ACTION
     )
     columns = [normaliser.normalise(dataset.observations), scaled, *([] if returns is None else [returns])]
+    if rows is not None:
+        columns = [column[rows] for column in columns]
     fitted = fit(
         (actor, critics),
         _loss,
@@ -85,7 +89,7 @@ def fit_to_log(
     findings = {}
     if critics is not None and returns is not None:
         members = critics.networks.biases[0].shape[0]
-        findings["value_error_share"] = fitted.means["critics"] / members / max(float(np.var(returns)), 1e-12)
+        findings["value_error_share"] = fitted.means["critics"] / members / max(float(np.var(columns[-1])), 1e-12)
     if actor is not None:
         findings["action_log_density"] = -fitted.means["actor"]
     return actor, critics, findings

@@ -41,6 +41,13 @@ def ensemble_td_gradient(
     return gradients, jnp.sum(values), predictions
 
 
+def squared_distance(
+    actions: Float[Array, "rows act_dim"], logged: Float[Array, "rows act_dim"]
+) -> Float[Array, " rows"]:
+    """||a - a_logged||^2 of each row, summed over action dimensions; gradients flow through both."""
+    return jnp.sum(jnp.square(actions - logged), axis=-1)
+
+
 def expectile_loss(differences: Float[Array, " rows"], expectile: Number) -> Float[Array, ""]:
     """mean_B |expectile - 1(u < 0)| u^2 of differences u = target - prediction.
 

@@ -12,6 +12,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float, Int
 
+from odaf.data.between_episodes import between_episodes
 from odaf.data.dataset import Dataset
 from odaf.data.start_values import start_values
 from odaf.errors import ConfigError, DatasetError
@@ -25,9 +26,10 @@ class RowChoice:
     """Rows that batches hold: "uniform" all alike; "return" by exp(return of the row's episode, scaled to [0, 1] over
     the log, / return_temperature); "advantage" the same with the return less what a linear regression on the episode's
     first observation foretells of it, so that a bad start is forgiven; "best" only those of the best episodes."""
-    return_temperature: float = 0.1
+    return_temperature: Literal["auto"] | float = 0.1
     """Of sampling="return" and "advantage": the lower, the more the best episodes are preferred; in the share of the
-    range of returns that makes a row e times as likely."""
+    range of returns that makes a row e times as likely. "auto" takes it from the log: 0.1 where episodes differ in all
+    that they earn, the higher the more alike they are."""
     best_share: float = 0.1
     """Of sampling="best": episodes are taken whole, by return from the best down, until they hold this share."""
     best_of: Literal["rows", "episodes"] = "rows"
@@ -60,14 +62,22 @@ class RowChoice:
             if not 0.0 < self.best_share <= 1.0:
                 raise ConfigError(f"best_share={self.best_share} must lie in (0, 1]: the share that is learned from")
             return replace(kept, best_share=self.best_share, best_of=self.best_of)
-        if not 0.0 < self.return_temperature < math.inf:
+        temperature = self.return_temperature
+        if temperature != "auto" and (isinstance(temperature, str) or not 0.0 < temperature < math.inf):
             raise ConfigError(
-                f"return_temperature={self.return_temperature} must be positive; a very large one is sampling='uniform'"
+                f"return_temperature={temperature} must be positive; a very large one is "
+                "sampling='uniform', and 'auto' takes one from the log"
             )
-        return replace(kept, return_temperature=self.return_temperature)
+        return replace(kept, return_temperature=temperature)
 
 
 UNIFORM = RowChoice()
+SHARPEST = 0.1
+"""`return_temperature="auto"` where all variance of rewards lies between episodes: that of the paper."""
+LEAST_BETWEEN = 1e-3
+"""Share of that variance below which episodes count as alike."""
+LEAST_ROWS, LEAST_SHARE = 2_560, 0.1
+"""Effective rows that "auto" leaves: ten batches of 256, or a tenth of the log where that is less."""
 ROUNDING = 1e-6
 """Share of the range of returns below which advantages are taken for rounding of single precision."""
 
@@ -103,12 +113,44 @@ def episode_merits(dataset: Dataset, choice: RowChoice) -> Float[np.ndarray, " e
 
 
 def episode_weights(merits: Float[np.ndarray, " episodes"], choice: RowChoice) -> Float[np.ndarray, " episodes"]:
-    """The weight of each row by its episode's merit: 1 in the best episode; all 1 where merits are equal."""
+    """The weight of each row by its episode's merit: 1 in the best episode; all 1 where merits are equal. "auto" must
+    have been resolved (`for_log`)."""
     merits = _finite(merits)
     low, high = merits.min(), merits.max()
     if choice.sampling not in ("return", "advantage") or low == high:
         return np.ones(len(merits))
-    return np.exp((merits - high) / (high - low) / choice.return_temperature)
+    return np.exp((merits - high) / (high - low) / _number(choice.return_temperature))
+
+
+def for_log(dataset: Dataset, choice: RowChoice) -> RowChoice:
+    """The choice with `return_temperature="auto"` resolved: T = 0.1 / b, b = `between_episodes`.
+
+    Episodes of one controller earn much alike in every row, and what tells them apart is mostly luck: b is 0.03 of a
+    mediocre policy's log, and rows are drawn nearly uniformly. Where a good controller's episodes lie among poor ones,
+    b nears 1 and the good ones are drawn almost alone. Where episodes differ by their length alone b is 0, and long
+    ones have more rows as it is. T is raised by quarters until `LEAST_ROWS` effective rows are left.
+    """
+    if choice.sampling not in ("return", "advantage") or choice.return_temperature != "auto":
+        return choice
+    lengths = dataset.episode_lengths()
+    returns = _finite(dataset.episode_returns())
+    share = between_episodes(returns, lengths.astype(np.float64), float(np.var(dataset.rewards, dtype=np.float64)))
+    merits, least = episode_merits(dataset, choice), min(LEAST_ROWS, LEAST_SHARE * len(dataset))
+    found = replace(choice, return_temperature=SHARPEST / max(share, LEAST_BETWEEN))
+    while effective_rows(np.repeat(episode_weights(merits, found), lengths)) < least:
+        found = replace(found, return_temperature=1.25 * _number(found.return_temperature))
+    return found
+
+
+def log_weights(dataset: Dataset, choice: RowChoice) -> Float[np.ndarray, " rows"]:
+    """How often each row of a log is drawn, as a multiple of one of the best episode; 0 where the choice leaves its
+    episode out."""
+    choice = for_log(dataset, choice)
+    merits, lengths = episode_merits(dataset, choice), dataset.episode_lengths()
+    weights = episode_weights(merits, choice)
+    if choice.sampling == "best":
+        weights[np.setdiff1d(np.arange(len(merits)), chosen_episodes(merits, lengths, choice))] = 0.0
+    return np.repeat(weights, lengths)
 
 
 def effective_rows(weights: Float[np.ndarray, " rows"]) -> float:
@@ -135,6 +177,11 @@ def drawn_from(dataset: Dataset, choice: RowChoice) -> Dataset:
     if choice.sampling != "best" or choice.critic_sampling == "uniform":
         return dataset
     return dataset.select(chosen_episodes(compared_returns(dataset, choice), dataset.episode_lengths(), choice))
+
+
+def _number(temperature: str | float) -> float:
+    assert not isinstance(temperature, str)  # `row_choice` lets "auto" pass alone, `for_log` resolves it
+    return temperature
 
 
 def _finite(returns: np.ndarray) -> np.ndarray:

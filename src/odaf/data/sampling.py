@@ -15,7 +15,7 @@ from odaf.data.dataset import Dataset
 from odaf.data.mixing_batches import MixedColumns, sample_mixed
 from odaf.data.normalisation import Normaliser, scale_actions
 from odaf.data.returns_to_go import returns_to_go
-from odaf.data.row_choice import chosen_episodes, drawn_from, episode_merits, episode_weights, has_table
+from odaf.data.row_choice import drawn_from, has_table, log_weights
 from odaf.data.transitions import Transitions
 from odaf.data.view import Extra, View
 from odaf.errors import DatasetError
@@ -92,14 +92,8 @@ def row_weights(dataset: Dataset, view: View) -> Float[np.ndarray, " kept"]:
         DatasetError: no episode that is drawn from has so many steps, or returns are no finite numbers.
         ConfigError: rows are chosen from data that are mixed per batch.
     """
-    choice = view.choice
-    dataset = drawn_from(dataset, choice)
-    merits = episode_merits(dataset, choice)
-    weights = episode_weights(merits, choice)
-    lengths = dataset.episode_lengths()
-    if choice.sampling == "best" and choice.critic_sampling == "uniform":
-        weights[np.setdiff1d(np.arange(len(merits)), chosen_episodes(merits, lengths, choice))] = 0.0
-    weights = np.repeat(weights, lengths)
+    dataset = drawn_from(dataset, view.choice)
+    weights = log_weights(dataset, view.choice) if has_table(view.choice) else np.ones(len(dataset))
     if view.return_steps == 1:
         return weights
     weights = weights[_n_step_rows(dataset, view.return_steps)[1]]

@@ -6,7 +6,7 @@ import numpy as np
 
 from odaf.algorithms.base import Algorithm
 from odaf.data.dataset import Dataset
-from odaf.data.row_choice import chosen_episodes, compared_returns, effective_rows
+from odaf.data.row_choice import chosen_episodes, compared_returns, effective_rows, for_log
 from odaf.data.sampling import row_weights
 from odaf.data.start_values import start_values
 from odaf.errors import ConfigError
@@ -30,6 +30,7 @@ def drawn_rows(algorithm: Algorithm, dataset: Dataset) -> dict[str, Any]:
     if choice.sampling == "uniform":
         return {}
     weights = row_weights(dataset, view)
+    chosen_by = for_log(dataset, choice)
     returns = compared_returns(dataset, choice)
     chosen = chosen_episodes(returns, dataset.episode_lengths(), choice)
     effective, least = effective_rows(weights), FEWEST_BATCHES * algorithm.batch_size
@@ -37,7 +38,7 @@ def drawn_rows(algorithm: Algorithm, dataset: Dataset) -> dict[str, Any]:
         setting = "best_share" if choice.sampling == "best" else "return_temperature"
         of = f" of the {choice.best_of}" if choice.sampling == "best" else ""
         raise ConfigError(
-            f"sampling={choice.sampling!r}, {setting}={getattr(choice, setting)}{of}: batches are drawn from "
+            f"sampling={choice.sampling!r}, {setting}={getattr(chosen_by, setting):.6g}{of}: batches are drawn from "
             f"{effective:,.0f} effective rows of {len(dataset):,}, fewer than {FEWEST_BATCHES} batches of "
             f"{algorithm.batch_size}; raise {setting}, lower batch_size, or take sampling='uniform'"
         )
@@ -49,6 +50,8 @@ def drawn_rows(algorithm: Algorithm, dataset: Dataset) -> dict[str, Any]:
         "log_rows": len(dataset),
         "lowest_return": float(returns[chosen].min()),
     }
+    if chosen_by != choice:
+        found["return_temperature"] = chosen_by.return_temperature
     if choice.sampling == "advantage":
         found["explained_by_start"] = start_values(returns, dataset.observations[dataset.episode_starts]).explained
     if choice.return_per != "episode":

@@ -2,6 +2,7 @@
 
 from odaf.algorithms.terms.base import Context as Context
 from odaf.algorithms.terms.base import Term as Term
+from odaf.algorithms.terms.behaviour_distance import BehaviourDistance as BehaviourDistance
 from odaf.algorithms.terms.conservative import Conservative as Conservative
 from odaf.algorithms.terms.gradient_diversity import GradientDiversity as GradientDiversity
 from odaf.algorithms.terms.inverse_dynamics_alignment import InverseDynamicsAlignment as InverseDynamicsAlignment
@@ -22,4 +23,5 @@ BUILT_IN: tuple[type[Term], ...] = (
     InverseDynamicsValues,
     Conservative,
     StateDeviation,
+    BehaviourDistance,
 )

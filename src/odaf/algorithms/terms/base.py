@@ -15,6 +15,7 @@ from odaf.data.dataset import Dataset
 from odaf.data.normalisation import Normaliser
 from odaf.data.spec import Spec
 from odaf.data.transitions import Transitions
+from odaf.data.view import Extra
 
 
 class Context(eqx.Module):
@@ -27,6 +28,7 @@ class Context(eqx.Module):
     target_critics: CriticEnsemble
     value_bounds: Float[Array, "2"]  # smallest and largest target; infinite when targets are not clipped
     step: Int[Array, ""]
+    values: Float[Array, " rows"] | None = None  # in the actor's loss: those that the actor climbs, at its own actions
 
 
 class Term(abc.ABC):
@@ -47,6 +49,10 @@ class Term(abc.ABC):
 
     def citations(self) -> tuple[Citation, ...]:
         """The papers to name beside results of these settings."""
+        return ()
+
+    def extras(self) -> tuple[Extra, ...]:
+        """Further columns of a row that the term reads, as `odaf.data.view.View` names them."""
         return ()
 
     def untrained(self, key: PRNGKeyArray, spec: Spec) -> PyTree:

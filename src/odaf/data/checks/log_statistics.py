@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from odaf.data.between_episodes import between_episodes
 from odaf.data.checks.parting import compared, equal, part
 from odaf.data.checks.sample import Sample
 from odaf.data.start_values import start_values
@@ -103,9 +104,6 @@ def measure(
     values, sizes = merits.values[merits.whole], lengths[merits.whole]
     best, middle, worst = _levels(values, sizes)
     parting = part(values, sizes, HALF)
-    means = returns / lengths
-    overall = returns.sum() / lengths.sum()
-    apart = float((lengths * np.square(means - overall)).sum() / lengths.sum())
     return LogStatistics(
         rows=rows,
         episodes=len(values),
@@ -119,7 +117,7 @@ def measure(
         good_episodes=0 if parting is None else parting.episodes,
         good_rows=0.0 if parting is None else parting.rows,
         good_from=None if parting is None else parting.least,
-        between=min(apart / reward_variance, 1.0) if reward_variance > 0 else 0.0,
+        between=between_episodes(returns, lengths, reward_variance),
         rewarded=1.0 if sample is None else _rewarded(sample),
         return_rows=_return_rows(merits.values, lengths),
         goals=() if sample is None else _goals(sample, names),
