@@ -107,6 +107,11 @@ class Log(abc.ABC):
     def name(self) -> str:
         """What the ledger and the file call it."""
 
+    @property
+    def known_as(self) -> str:
+        """What presets call it that have values for it: its name, without a seed of its own."""
+        return self.name
+
     @abc.abstractmethod
     def recipe(self) -> dict[str, Any]:
         """Everything that decides its rows, as JSON types; "version" is raised when the same recipe makes others."""

@@ -48,9 +48,15 @@ class MazeLog(Log):
 
     @property
     def name(self) -> str:
-        parts = [f"log{self.seed}" if self.seed else "", "broad" if self.broad else ""]
-        parts.append("" if self.percent == 100 else str(self.percent))
-        return "-".join([self.maze, *(part for part in parts if part)])
+        return self._name(f"log{self.seed}" if self.seed else "")
+
+    @property
+    def known_as(self) -> str:
+        return self._name("")
+
+    def _name(self, seed: str) -> str:
+        parts = [self.maze, seed, "broad" if self.broad else "", "" if self.percent == 100 else str(self.percent)]
+        return "-".join(part for part in parts if part)
 
     def config(self) -> "StitchConfig":
         """What is driven."""
@@ -101,16 +107,22 @@ class RecordedLog(Log):
         transitions: rows.
         seed: of starts and actions.
         edition: of the policies; None is the newest.
+        seeded: whether its name says its seed, as `hopper-medium-log4`, for a study of logs of several seeds.
     """
 
     set_name: str
     transitions: int = 200_000
     seed: int = 0
     edition: int | None = None
+    seeded: bool = False
 
     @property
     def name(self) -> str:
-        return self.set_name
+        return f"{self.set_name}-log{self.seed}" if self.seeded else self.set_name
+
+    @property
+    def known_as(self) -> str:
+        return self.set_name if self.seeded else self.name
 
     def recipe(self) -> dict[str, Any]:
         return {
@@ -152,15 +164,21 @@ class MixedLog(Log):
         random_percent: of the rows.
         transitions: rows.
         seed: of starts and actions, in both parts.
+        seeded: whether its name says its seed, as `hopper-mixture-80-log4`.
     """
 
     robot: str
     random_percent: int = 80
     transitions: int = 100_000
     seed: int = 0
+    seeded: bool = False
 
     @property
     def name(self) -> str:
+        return f"{self.known_as}-log{self.seed}" if self.seeded else self.known_as
+
+    @property
+    def known_as(self) -> str:
         size = "" if self.transitions == 100_000 else f"-{self.transitions / 1000:g}k"
         return f"{self.robot}-mixture-{self.random_percent}{size}"
 

@@ -3,6 +3,7 @@
 from odaf.studies.ablation import STUDY as ABLATION
 from odaf.studies.antmaze import STUDY as ANTMAZE
 from odaf.studies.attacks import STUDY as ATTACKS
+from odaf.studies.default import STUDY as DEFAULT
 from odaf.studies.estimates import STUDY as ESTIMATES
 from odaf.studies.generators import STUDY as GENERATORS
 from odaf.studies.guard import STUDY as GUARD
@@ -25,7 +26,7 @@ from odaf.studies.validation import STUDY as VALIDATION
 STUDIES: dict[str, Study] = {
     study.name: study
     for study in (
-        *(POINTMAZE, OUTCOME, LOCOMOTION, RIVALS, SCOREBOARD, GENERATORS, ESTIMATES, SELECTION, THEORY, GUARD, PLANT),
-        *(VALIDATION, ANTMAZE, ATTACKS, KNOCKS, ABLATION, MIXTURES, MUJOCO, SWEEPS, POINTMAZE_SEARCH),
+        *(POINTMAZE, OUTCOME, LOCOMOTION, RIVALS, SCOREBOARD, DEFAULT, GENERATORS, ESTIMATES, SELECTION, THEORY),
+        *(GUARD, PLANT, VALIDATION, ANTMAZE, ATTACKS, KNOCKS, ABLATION, MIXTURES, MUJOCO, SWEEPS, POINTMAZE_SEARCH),
     )
 }

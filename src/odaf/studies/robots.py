@@ -41,9 +41,9 @@ def robot_task(
 def robot_form(preset: str, task: Task) -> Changes:
     """A preset's values for the robot, where the task itself has none, as a mixture: those that all its sets share."""
     known = _known(preset)
-    if task.name in known:
+    if task.log.known_as in known:
         return ()
-    robot = task.name.split("-")[0]
+    robot = task.log.known_as.split("-")[0]
     sets = [values for name, values in known.items() if name.startswith(f"{robot}-") and not name.endswith("-attack")]
     return tuple((field, value) for field, value in (sets[0] if sets else {}).items() if all(
         other.get(field) == value for other in sets
