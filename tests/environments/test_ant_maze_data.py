@@ -9,12 +9,18 @@ import pytest
 from odaf.data import Dataset
 from odaf.environments import ant_maze_data
 from odaf.environments.ant_maze import AntMaze
-from odaf.environments.ant_maze_acceptance import LIMITS, acceptance_of, findings_of, statistics_of
+from odaf.environments.ant_maze_acceptance import (
+    LIMITS,
+    acceptance_of,
+    findings_of,
+    reached_and_flipped,
+    statistics_of,
+)
 from odaf.environments.ant_maze_data import NAMES, SETS, columns_of, generate
 from odaf.environments.ant_maze_map import ANT_MAZES
 from odaf.environments.ant_maze_recorder import Walks, record
 from odaf.environments.gaussian_policy import GaussianPolicy
-from odaf.environments.shipped_policies import Walker
+from odaf.environments.shipped_policies import Walker, shipped_walker
 from odaf.errors import ConfigError
 
 
@@ -144,6 +150,14 @@ def test_what_is_missing_is_explained(monkeypatch, tmp_path):
     monkeypatch.setattr("odaf.environments.shipped_policies.files", lambda package: tmp_path)
     with pytest.raises(ConfigError, match="odaf behaviour train ant.*odaf behaviour export"):
         generate("antmaze-umaze", 10)
+
+
+def test_the_shipped_walker_leads_ants_to_goals_around_a_corner():
+    """In the small maze two corners lie between start and goal, some 20 m of way."""
+    ants = [AntMaze("umaze", "collection") for _ in range(6)]
+    walks = record(ants, shipped_walker().policy, 6, 300, np.random.default_rng(0))
+    reached, _ = reached_and_flipped(walks)
+    assert reached.mean() >= 0.5
 
 
 def test_every_set_has_a_map_to_collect_on():
