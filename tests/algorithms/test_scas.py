@@ -108,7 +108,10 @@ def test_tasks_are_as_published():
     plain, maze = presets.load("scas", task="hopper-medium"), presets.load("scas", task="antmaze-large-play")
     assert plain == presets.load("scas") == SCAS()
     assert (plain.target, plain.reward_shift, maze.target, maze.reward_shift) == ("min", 0.0, "mean", -1.0)
-    assert dataclasses.replace(maze, target="min", reward_shift=0.0) == plain
+    assert maze.observation_scaling == "none"
+    assert dataclasses.replace(maze, target="min", reward_shift=0.0, observation_scaling="standard") == plain
+    medium = presets.load("scas", task="antmaze-medium-play")
+    assert dataclasses.replace(medium, observation_scaling="none") == maze  # raw observations in the large mazes alone
 
 
 @pytest.mark.parametrize(
