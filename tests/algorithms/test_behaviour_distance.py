@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import jax.random as jr
@@ -60,6 +61,8 @@ def test_the_actor_keeps_its_mode_near_the_logged_action_in_units_of_the_values_
 def test_the_target_loses_the_distance_of_the_next_action_where_one_was_logged():
     with tiny.exactly():
         learner, state, batch = _setting(TERM)
+        followed = jnp.asarray(np.arange(tiny.ROWS) % 2, batch.rewards.dtype)  # in rows that go on, too
+        batch = eqx.tree_at(lambda rows: rows.extras["followed"], batch, followed)
         bare = EnsembleSAC(**tiny.SMALL, discount=0.9, value_range="none")
         with tiny.recorded() as drawn:
             y = np.asarray(learner.targets(state, batch, jr.key(5)))
@@ -68,7 +71,7 @@ def test_the_target_loses_the_distance_of_the_next_action_where_one_was_logged()
         gap = 0.3 * networks.numbers(batch.extras["followed"]) * _distance(actions, batch.extras["next_actions"])
         alive = 1.0 - networks.numbers(batch.terminated)
         np.testing.assert_allclose(plain - y, 0.9 * alive * gap, rtol=1e-9)
-        assert np.any(plain - y > 0.0)
+        assert np.any(plain - y > 0.0) and np.any((alive > 0.0) & (networks.numbers(followed) == 0.0))
 
 
 def test_the_weight_goes_linearly_to_its_last_value():
