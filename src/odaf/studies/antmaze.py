@@ -24,6 +24,7 @@ SMALL, OTHERS = (
 FIRST = ("iql", "rebrac")
 # Cheap ones first.
 LATER = ("td3-bc", "spot", "scas", "atac", "cql", "sdc", "osr-10", "odaf-paper")
+METHODS = FIRST + LATER
 SEEDS = 2
 LATER_SEEDS = 4
 
@@ -48,8 +49,8 @@ def plan() -> list[Phase]:
     return phases_of(
         ("the small maze and medium-play, two seeds: IQL and ReBRAC", trainings(SMALL, FIRST, first)),
         ("the same two, two seeds: every other method", trainings(SMALL, LATER, first)),
-        ("the other four, two seeds: every method", trainings(OTHERS, FIRST + LATER, first)),
-        ("all six, two further seeds: every method", trainings(SMALL + OTHERS, FIRST + LATER, rest)),
+        ("the other four, two seeds: every method", trainings(OTHERS, METHODS, first)),
+        ("all six, two further seeds: every method", trainings(SMALL + OTHERS, METHODS, rest)),
     )
 
 
