@@ -93,6 +93,20 @@ def test_pretraining_returns_what_untrained_promises_and_reports_plain_data(kind
     assert config.from_dict(config.to_dict(learner)) == learner
 
 
+@pytest.mark.parametrize("name", [*learners.KINDS, "odaf-locomotion", "sdc"])
+def test_lanes_that_agree_in_what_decides_pretraining_may_share_its_models(name):
+    learner: Any = learners.of_kind(name) if name in learners.KINDS else learners.of_preset(name)
+    structure, numbers = split(learner)
+    given = {path: float(number) for path, number in numbers.items()}
+    learner = joined(structure, given)
+    others = {path: joined(structure, {**given, path: 0.9 * number}) for path, number in given.items()}
+    free = [path for path, other in others.items() if other.pretraining() == learner.pretraining()]
+    if not jax.tree.leaves(eqx.filter_eval_shape(learner.untrained, jr.key(0), _log().spec())) or not free:
+        return
+    other = joined(structure, {**given, **{path: 0.9 * given[path] for path in free}})
+    tiny.assert_same_bits(_models(learner, 1)[0], _models(other, 1)[0])
+
+
 @each_learner
 def test_actions_stay_in_bounds_and_repeat_and_draws_differ_by_key(kind):
     learner, rows = learners.of_kind(kind), 50.0 * jr.normal(jr.key(0), (7, 3))

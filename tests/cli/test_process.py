@@ -9,7 +9,7 @@ import pytest
 
 from golden import tiny
 from odaf import BehaviourCloning, training
-from odaf.cli import process
+from odaf.cli import main, process
 from odaf.training import process_record
 
 DETERMINISTIC = "--xla_gpu_deterministic_ops=true"
@@ -40,6 +40,15 @@ def test_a_gpu_is_asked_for_sums_in_a_fixed_order(fresh, monkeypatch, given, opt
     if given is not None:
         monkeypatch.setenv("XLA_FLAGS", given)
     process.prepare_process(None, **options)
+    assert os.environ.get("XLA_FLAGS") == wanted
+
+
+@pytest.mark.parametrize(
+    ("words", "wanted"),
+    [(["reproduce"], DETERMINISTIC), (["behaviour", "train"], DETERMINISTIC), (["data", "info"], None)],
+)
+def test_commands_that_fit_ask_for_them(fresh, capsys, words, wanted):
+    main([*words, "--help"])
     assert os.environ.get("XLA_FLAGS") == wanted
 
 

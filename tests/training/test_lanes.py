@@ -42,9 +42,17 @@ def _same_content(tiny, ours, theirs):
     assert names[0] == names[1]
 
 
-def test_each_lane_leaves_what_its_run_alone_leaves(tiny, logs, tmp_path):
-    runs = _plans(tiny, logs, tmp_path / "lanes")
-    done = _train(tiny, runs)
+def test_each_lane_leaves_what_its_run_alone_leaves(tiny, logs, tmp_path, monkeypatch):
+    runs, pretrain, fitted = _plans(tiny, logs, tmp_path / "lanes"), tiny.TinyLearner.pretrain, []
+
+    def counting(self, dataset, *others):
+        fitted.append(len(dataset))
+        return pretrain(self, dataset, *others)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(tiny.TinyLearner, "pretrain", counting)
+        done = _train(tiny, runs)
+    assert sorted(fitted) == sorted(2 * [len(log) for log in logs])  # for each log and seed once, whatever the rate
     assert [run.directory for run in done] == [plan.directory for plan in runs]
     for plan, run in zip(runs, done, strict=True):
         alone = odaf.fit(
@@ -59,6 +67,7 @@ def test_each_lane_leaves_what_its_run_alone_leaves(tiny, logs, tmp_path):
         for seed in SETTINGS["seeds"]:
             ours, theirs = run.summary[seed], alone.summary[seed]
             assert ours["status"] == "finished" and ours["warnings"] == theirs["warnings"]
+            assert ours["pretrain"] == theirs["pretrain"] == {"error": 0.25}
             assert ours["evaluation"]["mean_return"] == pytest.approx(theirs["evaluation"]["mean_return"], rel=1e-5)
             for one, other in zip(run.files.metrics(seed), alone.files.metrics(seed), strict=True):
                 timeless = [{name: one[name] for name in one if not name.startswith("time/")} for one in (one, other)]
@@ -111,7 +120,10 @@ def test_one_run_of_several_is_gone_on_with_to_the_same_bits(tiny, logs, tmp_pat
 def test_more_trainings_than_lanes_take_turns_and_give_the_same(tiny, logs, tmp_path, capsys):
     turns = _plans(tiny, logs, tmp_path / "turns")
     _train(tiny, turns, lanes=3, progress=True)
-    assert "8 trainings take turns in a program of 3 lanes" in capsys.readouterr().err
+    told = "".join(capsys.readouterr().err.split())  # terminals break lines
+    first, second = (plan.directory for plan in turns[:2])
+    assert "8trainingstaketurnsinaprogramof3lanes" in told
+    assert f"turn1of3:{first}:seeds05;{second}:seeds0" in told
     for plan in turns:
         assert [RunDirectory(plan.directory).summary(seed)["status"] for seed in (0, 5)] == ["finished"] * 2
 

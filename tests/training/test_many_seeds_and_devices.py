@@ -12,9 +12,11 @@ import numpy as np
 import pytest
 
 import odaf
+from odaf.algorithms.td3_bc import TD3BC
 from odaf.data.normalisation import Normaliser
 from odaf.data.sampling import device_columns
 from odaf.training import loop
+from odaf.training.run_directory import blank_state
 
 SEEDS = (3, 5, 8)
 
@@ -55,6 +57,19 @@ def test_each_lane_is_its_seed_alone(tiny, kind):
             state, metrics = loop.train_stretch(*fixed, state)
         _close(loop.lane(states, index), state)
         _close({name: values[index] for name, values in many.items()}, metrics)
+
+
+def test_what_is_done_every_few_updates_is_branched_to_in_lanes(tiny):
+    """Not computed in every update and thrown away, as it would be if each lane counted its updates for itself."""
+    dataset, number = tiny.tiny_dataset(), loop.update_number
+    learner = TD3BC(hidden_sizes=(4,), batch_size=4, actor_delay=3, averaged_updates=5)
+    structure, numbers = loop.split_lanes([learner] * 2)
+    columns = device_columns(dataset, Normaliser.fit(dataset.observations))
+    keys = jnp.stack([loop.training_key(seed) for seed in (3, 5)])
+    blank = blank_state(learner, dataset.spec())
+    states = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct((2, *leaf.shape), leaf.dtype), blank)
+    lowered = loop._train_lanes.lower(structure, numbers, columns, None, keys, number(0), number(3), states, None)
+    assert lowered.as_text().count("stablehlo.case") == 1
 
 
 SHARDED = """

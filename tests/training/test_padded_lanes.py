@@ -11,6 +11,7 @@ import pytest
 
 import odaf
 from battery import learners
+from odaf.algorithms.terms import BehaviourDistance, GradientDiversity
 from odaf.data.dataset import Dataset
 from odaf.data.normalisation import Normaliser
 from odaf.data.padding import Padding
@@ -49,6 +50,9 @@ LEARNERS: dict[str, Any] = {
     "iql": dataclasses.replace(learners.of_kind("iql"), actor_kind="gaussian"),
     "iql, deterministic": dataclasses.replace(learners.of_kind("iql"), actor_kind="deterministic"),
     "sac-n": dataclasses.replace(learners.of_preset("sac-n"), entropy_in_backup=True),
+    "terms": dataclasses.replace(
+        learners.of_preset("edac"), terms=(GradientDiversity(), BehaviourDistance(target_weight=0.1))
+    ),
 }
 
 

@@ -58,6 +58,9 @@ class TinyLearner(Algorithm):
         progress("offset", 1, 1)
         return jr.normal(key, (dataset.act_dim,)), {"error": 0.25, "warnings": ["the offset is random"]}
 
+    def pretraining(self):
+        return ()
+
     def init(self, key, spec, models):
         weights = jr.normal(key, (spec.obs_dim, spec.act_dim))
         return TinyState(jnp.asarray(0), weights, weights, models)  # one buffer twice, as learners may do

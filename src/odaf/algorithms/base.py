@@ -2,7 +2,7 @@
 
 import abc
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from typing import Any, ClassVar, Generic, TypeVar
 
 import equinox as eqx
@@ -130,6 +130,14 @@ class Algorithm(CommonSettings, abc.ABC, Generic[State]):
         """
         del dataset, normaliser, key, progress
         return (), {"warnings": []}
+
+    def pretraining(self) -> Hashable:
+        """The settings that decide what `pretrain` gives for a log, its scaling and a key; () where nothing is trained.
+
+        Lanes that agree in all of it share the models. By default it is the whole learner, so that lanes of other
+        settings share none.
+        """
+        return () if type(self).pretrain is Algorithm.pretrain else self
 
     @abc.abstractmethod
     def init(self, key: PRNGKeyArray, spec: Spec, models: PyTree) -> State:

@@ -20,6 +20,7 @@ through the actor. beta is trained on most episodes; the others measure its erro
 """
 
 import dataclasses
+from collections.abc import Hashable
 from typing import Any, ClassVar, Literal
 
 import jax
@@ -143,6 +144,10 @@ class BRAC(Algorithm[BRACState]):
 
         behaviour, findings = fit_gaussian(self.behaviour, dataset, normaliser, key, told)
         return behaviour, {"warnings": findings.pop("warnings"), "behaviour": findings}
+
+    def pretraining(self) -> Hashable:
+        """beta's settings."""
+        return self.behaviour
 
     def init(self, key: PRNGKeyArray, spec: Spec, models: PyTree) -> BRACState:
         """Random networks, slow critics equal to the critics, fresh optimisers; beta as it was fitted."""

@@ -21,6 +21,7 @@ entropy in the target. Each is a field. docs/reference/algorithms/odaf.md shows 
 import dataclasses
 import math
 import zlib
+from collections.abc import Hashable
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -53,6 +54,12 @@ from odaf.data.transitions import Transitions
 from odaf.data.view import Extra, View
 
 LARGEST_SCALED_VALUE = 10.0  # of `reward_scale="auto"`
+# What the warm start goes by.
+_WARM_START = (
+    "warm_start", "warm_start_steps", "warm_start_rows", "hidden_sizes", "num_critics", "critic_norm",
+    "critic_output_bound", "prior_scale", "products", "discount", "value_range", "reward_scale", "batch_size",
+    "critic_learning_rate",
+)  # fmt: skip
 
 
 @dataclasses.dataclass(frozen=True)
@@ -63,8 +70,8 @@ class EnsembleSAC(EnsembleSettings):
     draws_apart: ClassVar[bool] = True
 
     def can_be_padded(self) -> bool:
-        """Without terms, which draw and average in ways of their own."""
-        return type(self) is EnsembleSAC and not self.active_terms
+        """Unless a term draws or averages in a way of its own."""
+        return type(self) is EnsembleSAC and all(term.can_be_padded for term in self.active_terms)
 
     def citations(self) -> tuple[citations.Citation, ...]:
         """SAC-N, or SAC itself where there are two critics; randomised priors where there are any."""
@@ -129,6 +136,13 @@ class EnsembleSAC(EnsembleSettings):
         weights = log_weights(dataset, self.row_choice())
         seed = jr.bits(jr.fold_in(key, zlib.crc32(b"warm start rows")), (4,))
         return np.random.default_rng(np.asarray(seed)).choice(len(dataset), len(dataset), p=weights / weights.sum())
+
+    def pretraining(self) -> Hashable:
+        """What decides the terms' models, and the settings that the warm start goes by."""
+        models = tuple((term.name, term.pretraining()) for term in self.active_terms)
+        if self.warm_start == "none":
+            return models
+        return models, self.row_choice(), tuple(getattr(self, name) for name in _WARM_START)
 
     def init(self, key: PRNGKeyArray, spec: Spec, models: Models) -> EnsembleState:
         """Random networks or those of the warm start, slow copies equal to them, fresh optimisers."""

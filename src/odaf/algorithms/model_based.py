@@ -11,6 +11,7 @@ the ring.
 
 import abc
 import dataclasses
+from collections.abc import Hashable
 from typing import Any, ClassVar, Literal
 
 import jax
@@ -160,6 +161,10 @@ class ModelBased(Algorithm[ModelBasedState]):
                     "task, or register one of your own"
                 )
         return model, {"dynamics": findings, "termination": ends, "warnings": warnings}
+
+    def pretraining(self) -> Hashable:
+        """The model's settings, and the function that the report judges."""
+        return self.dynamics, self.termination
 
     def init(self, key: PRNGKeyArray, spec: Spec, models: TransitionEnsemble) -> ModelBasedState:
         """Random networks, slow critics equal to the critics, an empty ring, fresh optimisers."""

@@ -18,6 +18,7 @@ Differs from the paper: biases of the actor's and critics' hidden layers start a
 """
 
 import dataclasses
+from collections.abc import Hashable
 from typing import Any, ClassVar, Literal
 
 import jax
@@ -137,6 +138,10 @@ class SCAS(TwinDelayedWithModel):
             remedy="take a learner that predicts no states, such as td3-bc",
         )
         return model, {"warnings": findings.pop("warnings"), "dynamics": findings}
+
+    def pretraining(self) -> Hashable:
+        """f's settings."""
+        return self.dynamics
 
     def init(self, key: PRNGKeyArray, spec: Spec, models: DynamicsModel) -> TwinDelayedState:
         """Random networks, slow copies equal to them, fresh optimisers."""

@@ -16,6 +16,7 @@ auto-encoder's training to measure it. Observations are normalised in ant mazes 
 """
 
 import dataclasses
+from collections.abc import Hashable
 from typing import Any, ClassVar
 
 import jax
@@ -100,6 +101,10 @@ class SPOT(TwinDelayedWithModel):
             self.behaviour, dataset, normaliser, key, lambda done, steps: progress("behaviour model", done, steps)
         )
         return model, {"warnings": findings.pop("warnings"), "behaviour": findings}
+
+    def pretraining(self) -> Hashable:
+        """The auto-encoder's settings."""
+        return self.behaviour
 
     def init(self, key: PRNGKeyArray, spec: Spec, models: BehaviourCVAE) -> TwinDelayedState:
         """Random networks, slow copies equal to them, fresh optimisers."""

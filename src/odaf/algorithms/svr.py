@@ -19,6 +19,7 @@ training to measure it. Q_min is that of the log unless it is given; the paper's
 """
 
 import dataclasses
+from collections.abc import Hashable
 from typing import Any, ClassVar, Literal
 
 import equinox as eqx
@@ -154,6 +155,10 @@ class SVR(TwinDelayedWithModel):
             self.behaviour, dataset, normaliser, key, lambda done, steps: progress("behaviour model", done, steps)
         )
         return model, {"warnings": findings.pop("warnings"), "behaviour": findings}
+
+    def pretraining(self) -> Hashable:
+        """The clone's settings."""
+        return self.behaviour
 
     def init(self, key: PRNGKeyArray, spec: Spec, models: DeterministicActor) -> TwinDelayedState:
         """Random networks, slow copies equal to them, fresh optimisers."""

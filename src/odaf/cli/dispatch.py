@@ -17,6 +17,7 @@ from typing import Any
 
 from odaf import __version__
 from odaf.cli import spelling
+from odaf.cli.process import prepare_process
 from odaf.errors import OdafError, OdafWarning
 
 EXIT_MISTAKE = 2
@@ -81,6 +82,10 @@ COMMANDS = (
 # busy machine turns seconds into minutes.
 PLAYING = ("data generate", "train", "resume", "evaluate", "behaviour train", "behaviour export", "demo", "reproduce")
 
+# Fit networks, which on a GPU repeats to the bit only if it adds in a fixed order. `train` and `resume` ask for that
+# themselves, for they know the run's device.
+FITTING = ("estimate", "guard", "select", "assess", "behaviour train", "demo", "reproduce")
+
 
 def main(arguments: list[str] | None = None) -> int:
     """Run one command.
@@ -108,6 +113,8 @@ def main(arguments: list[str] | None = None) -> int:
         return complain("odaf", unknown_command(words))
     if command.name in PLAYING:  # read once, when NumPy is loaded; JAX has threads of its own
         os.environ.setdefault("OMP_NUM_THREADS", "1")
+    if command.name in FITTING:
+        prepare_process(None)
     return run_guarded(command, rest, debug)
 
 

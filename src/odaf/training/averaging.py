@@ -9,6 +9,7 @@ A value learner's actor climbs the values of the moment, and swings with them; i
 1992 for stochastic approximation).
 """
 
+import dataclasses
 from typing import Any
 
 import equinox as eqx
@@ -71,6 +72,16 @@ def advanced(
 def with_learner(state: LearnerState, learner: LearnerState) -> LearnerState:
     """`state` with another one of the learner's own in it."""
     return AveragedState(learner.step, learner, state.average) if isinstance(state, AveragedState) else learner
+
+
+def at_step(state: LearnerState, step: Int[Array, ""]) -> LearnerState:
+    """`state` with this array as its count of updates, which it equals.
+
+    All lanes of a program have made as many. If they share the array, what a learner does every n updates alone is
+    branched to; with a count for each lane it would be computed in every update and thrown away.
+    """
+    learner = learner_state(state)
+    return with_learner(state, dataclasses.replace(learner, step=step.astype(learner.step.dtype)))
 
 
 def learner_state(state: Any) -> Any:

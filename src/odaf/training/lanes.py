@@ -92,6 +92,8 @@ def train_in_lanes(
     parts = [lanes[start : start + program.width] for start in range(0, len(lanes), program.width)]
     if len(parts) > 1:
         report.message(f"{len(lanes)} trainings take turns in a program of {program.width} lanes")
+        for number, part in enumerate(parts, 1):
+            report.message(f"turn {number} of {len(parts)}: {_in_words(part)}")
     failures: list[OdafError] = []
     for part in parts:
         failures += _train(part, program, loggers, report, asked_to_stop)
@@ -239,24 +241,40 @@ def _train(
 
 
 def _begin(lanes: Sequence[Lane], width: int, report: ProgressReport) -> tuple[list[Lane], list[OdafError]]:
-    """Trains the models that are needed beforehand, in lanes too; (the lanes that have them, what went wrong)."""
-    failures: dict[int, OdafError] = {}
+    """Trains the models that are needed beforehand, in lanes too, and once for lanes that need the same ones.
+
+    Returns:
+        The lanes that have them, and what went wrong with the others.
+    """
+    alike: dict[Any, list[int]] = {}
+    for place, lane in enumerate(lanes):
+        if lane.seed.checkpoint is None:
+            key = (_source(lane), lane.seed.seed, lane.seed.run.algorithm.pretraining())
+            alike.setdefault(key, []).append(place)
+    groups, failures = list(alike.values()), dict[int, OdafError]()
     width = min(width, _BEGUN_AT_ONCE)
-    for start in range(0, len(lanes), width):
-        part = [functools.partial(_begin_one, lane) for lane in lanes[start : start + width]]
-        for place, outcome in enumerate(run_together(part, width), start):
+    for start in range(0, len(groups), width):
+        part = groups[start : start + width]
+        begun = run_together(
+            [functools.partial(_begin_alike, [lanes[place] for place in group]) for group in part], width
+        )
+        for group, outcome in zip(part, begun, strict=True):
             if isinstance(outcome, OdafError):
-                report.message(f"{lanes[place].name}: {outcome}")
-                failures[place] = outcome
+                for place in group:
+                    report.message(f"{lanes[place].name}: {outcome}")
+                    failures[place] = outcome
             elif isinstance(outcome, Exception):
                 raise outcome
-    return [lane for place, lane in enumerate(lanes) if place not in failures], list(failures.values())
+    able = [lane for place, lane in enumerate(lanes) if place not in failures]
+    return able, [failures[place] for place in sorted(failures)]
 
 
-def _begin_one(lane: Lane) -> None:
-    # JAX keeps the precision that is set for a block by thread.
-    with products_in(lane.seed.run.config["precision"]):
-        lane.seed.begin(lane.dataset)
+def _begin_alike(lanes: Sequence[Lane]) -> None:
+    first, *others = lanes
+    with products_in(first.seed.run.config["precision"]):  # JAX keeps what is set for a block by thread
+        models = first.seed.begin(first.dataset)
+        for lane in others:
+            lane.seed.begin(lane.dataset, models)
 
 
 def _that_fits(compile_for: Callable[[int], Any], width: int) -> tuple[int, Any]:
@@ -277,6 +295,14 @@ def _that_fits(compile_for: Callable[[int], Any], width: int) -> tuple[int, Any]
                 "or fewer critics"
             )
         width = (width + 1) // 2
+
+
+def _in_words(lanes: Sequence[Lane]) -> str:
+    """Runs and seeds that are trained together."""
+    seeds: dict[str, list[int]] = {}
+    for lane in lanes:
+        seeds.setdefault(str(lane.seed.run.path), []).append(lane.seed.seed)
+    return "; ".join(f"{path}: seeds {' '.join(map(str, own))}" for path, own in seeds.items())
 
 
 def _source(lane: Lane) -> tuple[Any, ...]:

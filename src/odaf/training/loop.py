@@ -136,7 +136,8 @@ def train_lanes(
         columns: what batches are drawn from. With `slabs`, the rows of several data sets one behind the other.
         slabs: first row and number of rows of each lane's data set; None draws from all of `columns`.
         keys: the lanes' `training_key`s, stacked.
-        first: updates that `states` have had, the same for all lanes.
+        first: updates that `states` have had, the same for all lanes; what is done every n updates alone is branched to
+            because it is.
         last: updates that the result will have had.
         states: the `stacked` states of the lanes. Their memory is given to the result: do not use them again.
         padding: whose `own` has a leading axis [lanes], where rows and states are padded to the widest lane's.
@@ -283,6 +284,7 @@ def _stretch(
 
     @jax.jit  # so that it is traced once for both of its uses
     def update(state: Any, step: Int[Array, ""]) -> tuple[Any, dict[str, Array]]:
+        state = averaging.at_step(state, step)
         key_sample, key_update = jr.split(jr.fold_in(key, step))
         if algorithm.refresh_every:
             is_due = step % algorithm.refresh_every == 0

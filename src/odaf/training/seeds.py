@@ -94,6 +94,15 @@ class _Pending:
     found: Future[Evaluation]
 
 
+@dataclass(frozen=True)
+class Pretrained:
+    """What a learner needs beforehand: models, what was found about them, and the seconds that they took."""
+
+    models: Any
+    findings: dict[str, Any]
+    seconds: float
+
+
 class SeedTraining:
     """One seed's way from its last checkpoint to the last step."""
 
@@ -176,15 +185,28 @@ class SeedTraining:
                 raise KeyboardInterrupt(f"seed {self.seed} is finished")
             self.collect()
 
-    def begin(self, dataset: Dataset) -> None:
+    def begin(self, dataset: Dataset, pretrained: Pretrained | None = None) -> Pretrained | None:
         """Trains the models that the learner needs beforehand and saves the first state, unless that was done before.
+
+        Args:
+            dataset: to train on.
+            pretrained: of another training that needs the same models, to take in place of training them.
+
+        Returns:
+            The models, for others that need the same; None if that was done before.
 
         Raises:
             DivergenceError: one of these models diverged.
         """
-        if self.checkpoint is None:
-            self._open_directory()
-            self._first_state(dataset)
+        if self.checkpoint is not None:
+            return None
+        self._open_directory()
+        if pretrained is None:
+            pretrained = self._pretrained(dataset)
+        else:
+            self.began -= pretrained.seconds  # alone, it would have taken them
+        self._first_state(pretrained)
+        return pretrained
 
     @contextlib.contextmanager
     def opened(self, dataset: Dataset, compile_seconds: float, loggers: Sequence[Logger]) -> Iterator[Any]:
@@ -198,7 +220,10 @@ class SeedTraining:
         self._open_directory()
         self.began -= compile_seconds
         _add(self.record.seconds, "compile", compile_seconds)
-        state = loop.donatable(self.run.state(self.seed, self.step) if self.checkpoint else self._first_state(dataset))
+        if self.checkpoint is None:
+            state = loop.donatable(self._first_state(self._pretrained(dataset)))
+        else:
+            state = loop.donatable(self.run.state(self.seed, self.step))
         due = {each.step for each in self._overdue} | ({self.step} if self.record.evaluation_due else set())
         self._lines = JsonLines(due)
         self._loggers = (self._lines, *loggers)
@@ -233,7 +258,7 @@ class SeedTraining:
         run_writing.clean(self.directory, self.step)
         self.began = time.perf_counter() - self.record.seconds.get("total", 0.0)
 
-    def _first_state(self, dataset: Dataset) -> Any:
+    def _pretrained(self, dataset: Dataset) -> Pretrained:
         run, began = self.run, time.perf_counter()
         key = loop.pretrain_key(self.seed)
         stages: set[str] = set()
@@ -245,11 +270,15 @@ class SeedTraining:
             self.progress.advance(done)
 
         models, findings = run.algorithm.pretrain(dataset, run.normaliser, key, report)
-        for sentence in findings.get("warnings", []):
+        return Pretrained(models, findings, time.perf_counter() - began)
+
+    def _first_state(self, found: Pretrained) -> Any:
+        run = self.run
+        for sentence in found.findings.get("warnings", []):
             self._warn(TrainingWarning("pretrain", 0, sentence))
-        self.record.pretrain = {name: value for name, value in findings.items() if name != "warnings"}
-        self.record.seconds["pretrain"] = time.perf_counter() - began
-        state = loop.first_state(run.algorithm, run.spec, loop.init_key(self.seed), models)
+        self.record.pretrain = {name: value for name, value in found.findings.items() if name != "warnings"}
+        self.record.seconds["pretrain"] = found.seconds
+        state = loop.first_state(run.algorithm, run.spec, loop.init_key(self.seed), found.models)
         self._save(state)
         return state
 

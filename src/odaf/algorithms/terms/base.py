@@ -1,6 +1,7 @@
 """What a term is given and what it gives back."""
 
 import abc
+from collections.abc import Hashable
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -45,6 +46,7 @@ class Term(abc.ABC):
     acts_on_critics: ClassVar[bool] = False
     acts_on_target: ClassVar[bool] = False
     needs_next_state: ClassVar[bool] = False  # reads s' as the state after one step, so targets must span one step
+    can_be_padded: ClassVar[bool] = False  # computes with columns of zeros what it computes without them
     weight: float
 
     def citations(self) -> tuple[Citation, ...]:
@@ -66,6 +68,10 @@ class Term(abc.ABC):
         """Train the model; the report's entry "warnings" lists sentences for the user."""
         del dataset, normaliser, key, progress
         return (), {"warnings": []}
+
+    def pretraining(self) -> Hashable:
+        """The settings that decide what `pretrain` gives, as `odaf.algorithms.base.Algorithm.pretraining` has it."""
+        return () if type(self).pretrain is Term.pretrain else self
 
     def init(self, model: PyTree) -> PyTree:
         """The term's state before the first update, around its trained model; by default the model itself."""

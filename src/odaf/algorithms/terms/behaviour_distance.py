@@ -38,6 +38,7 @@ class BehaviourDistance(Term):
     name: ClassVar[str] = "behaviour"
     acts_on_actor: ClassVar[bool] = True
     acts_on_target: ClassVar[bool] = True
+    can_be_padded: ClassVar[bool] = True  # an action that is not there is 0 in log and policy
 
     weight: float = 0.1
     """Weight in the actor's loss, in units of the mean size of the values it climbs; 0 leaves the term out."""

@@ -1,6 +1,7 @@
 """What OSR's two terms share: states beside the log's, and a model of inverse dynamics that knows the way back."""
 
 import dataclasses
+from collections.abc import Hashable
 from typing import Any, ClassVar
 
 import jax.numpy as jnp
@@ -51,6 +52,10 @@ class InverseDynamicsTerm(Term):
             lambda done, steps: progress("inverse-dynamics model", done, steps),
             self.name,
         )
+
+    def pretraining(self) -> Hashable:
+        """The model's settings."""
+        return self.model
 
     def states_beside(self, batch: Transitions, key: PRNGKeyArray) -> Float[Array, "rows obs_dim"]:
         """s^ = s + beta * noise."""

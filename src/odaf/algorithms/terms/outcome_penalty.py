@@ -9,6 +9,7 @@ misprints of the paper and how each is read here.
 """
 
 import dataclasses
+from collections.abc import Hashable
 from typing import Any, ClassVar, Literal
 
 import jax
@@ -103,6 +104,10 @@ class OutcomePenalty(Term):
         return fit_dynamics(
             self.dynamics, dataset, normaliser, key, lambda done, steps: progress("dynamics model", done, steps)
         )
+
+    def pretraining(self) -> Hashable:
+        """The model's settings."""
+        return self.dynamics
 
     def actor_loss(self, context: Context, state: DynamicsModel, key: PRNGKeyArray) -> tuple[Float[Array, ""], Metrics]:
         """weight * mean_s of the worst case of U; its gradient reaches the actor only."""

@@ -10,6 +10,7 @@ are the kernel's distances. The page docs/reference/algorithms/sdc.md tells what
 """
 
 import dataclasses
+from collections.abc import Hashable
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -121,6 +122,10 @@ class StateDeviation(Term):
             models.append(model)
             report["warnings"] += report[field].pop("warnings")
         return (models[0], models[1]), report
+
+    def pretraining(self) -> Hashable:
+        """Both models' settings."""
+        return self.dynamics, self.transitions
 
     def init(self, model: Models) -> DeviationState:
         """The models, and log alpha with its optimiser."""
