@@ -13,14 +13,13 @@ from odaf.environments.ant_maze_acceptance import (
     LIMITS,
     acceptance_of,
     findings_of,
-    reached_and_flipped,
     statistics_of,
 )
 from odaf.environments.ant_maze_data import NAMES, SETS, columns_of, generate
 from odaf.environments.ant_maze_map import ANT_MAZES
-from odaf.environments.ant_maze_recorder import Walks, record
+from odaf.environments.ant_maze_recorder import Walk, ants_for, record
 from odaf.environments.gaussian_policy import GaussianPolicy
-from odaf.environments.shipped_policies import Walker, shipped_walker
+from odaf.environments.shipped_policies import Walker
 from odaf.errors import ConfigError
 
 
@@ -30,12 +29,13 @@ def walker_of(mean: float = 0.0, log_std: float = -5.0) -> Walker:
     return Walker(GaussianPolicy([np.zeros((29, 16), np.float32)], [bias]), {"walker": {"step": 1}})
 
 
-def walks_of(places: Any, goals: Any) -> Walks:
-    """Walks over given places [W, T + 1, 2], upright."""
+def walk_of(places: Any, goal: Any, arrived: bool = False, finished: bool = True) -> Walk:
+    """A walk over given places [T + 1, 2], upright."""
     places = np.asarray(places, float)
-    bodies = np.zeros((*places.shape[:2], 29))
-    bodies[:, :, :2], bodies[:, :, 3] = places, 1.0
-    return Walks(bodies, np.zeros((len(places), places.shape[1] - 1, 8), np.float32), np.asarray(goals, float))
+    bodies = np.zeros((len(places), 29))
+    bodies[:, :2], bodies[:, 3] = places, 1.0
+    steps = len(places) - 1
+    return Walk(bodies, np.zeros((steps, 8), np.float32), np.asarray(goal, float), steps, finished, arrived)
 
 
 @pytest.fixture(scope="module")
@@ -80,11 +80,13 @@ def test_the_stored_bodies_give_the_stored_rows_back(recorded):
 
 def test_actions_are_the_walkers_with_noise_and_within_bounds():
     ants = [AntMaze("umaze", "collection") for _ in range(2)]
-    walks = record(ants, walker_of(mean=0.5).policy, 3, 40, np.random.default_rng(0))
-    assert walks.actions.shape == (3, 40, 8) and walks.bodies.shape == (3, 41, 29)
-    assert walks.actions.mean() == pytest.approx(np.tanh(0.5), abs=0.03)
-    assert walks.actions.std() == pytest.approx(0.2, abs=0.02)
-    loud = record(ants, walker_of(mean=2.0).policy, 1, 20, np.random.default_rng(0), noise=1.0)
+    walks = record(ants, walker_of(mean=0.5).policy, 81, 40, np.random.default_rng(0))
+    assert [len(walk.actions) for walk in walks] == [40, 40, 1] and [len(walk.bodies) for walk in walks] == [41, 41, 2]
+    assert [walk.finished for walk in walks] == [True, True, False]
+    actions = np.concatenate([walk.actions for walk in walks])
+    assert actions.mean() == pytest.approx(np.tanh(0.5), abs=0.03)
+    assert actions.std() == pytest.approx(0.2, abs=0.02)
+    (loud,) = record(ants[:1], walker_of(mean=2.0).policy, 20, 20, np.random.default_rng(0), noise=1.0)
     assert np.abs(loud.actions).max() == 1.0
 
 
@@ -95,37 +97,63 @@ def test_one_seed_gives_the_same_bits_and_another_does_not(recorded, monkeypatch
     assert (other.observations != recorded.observations).any()
 
 
+def test_a_walk_ends_at_the_goal_of_evaluation_and_the_next_begins_elsewhere():
+    """Ants begin anywhere in the small maze, its goal's cell included; the place where walks end is all of a cell."""
+    ants = [AntMaze("umaze-diverse", "collection", random_start=True) for _ in range(3)]
+    end, everywhere = (4.75, 0.75), record(ants, walker_of().policy, 120, 4, np.random.default_rng(1))
+    assert len(everywhere) == 30 and any(ant_cell(walk) == (1, 2) for walk in everywhere)
+    away = record(ants, walker_of().policy, 120, 4, np.random.default_rng(1), end=end)
+    assert not any(ant_cell(walk) == (1, 2) for walk in away) and not any(walk.arrived for walk in away)
+    fixed = [AntMaze("umaze", "collection")]
+    walks = record(fixed, walker_of().policy, 3, 4, np.random.default_rng(1), end=(0.0, 0.0))
+    assert [(walk.length, walk.arrived, walk.finished, len(walk.bodies)) for walk in walks] == [(1, True, True, 2)] * 3
+
+
+def ant_cell(walk: Walk) -> tuple[int, int]:
+    return ANT_MAZES["umaze"].cell((walk.bodies[0, 0], walk.bodies[0, 1]))
+
+
 def test_walks_are_told_as_attempts_at_the_goal_of_evaluation():
-    """The first walk passes the goal in its second and third step, the second reaches it with its last row."""
-    goal = (10.0, 0.0)
-    places = [[(8, 0), (9, 0), (9.6, 0), (10.5, 0), (11, 0)], [(0, 0), (1, 0), (2, 0), (3, 0), (10, 0.4)]]
-    walks = walks_of(places, [(50.0, 0.0), (60.0, 0.0)])
-    columns = columns_of(walks, goal, 8)
-    assert columns["rewards"].tolist() == [0, 1, 1, 0, 0, 0, 0, 1]
-    assert np.flatnonzero(columns["terminated"]).tolist() == [1, 2, 7]
-    assert np.flatnonzero(columns["truncated"]).tolist() == [3]
-    assert columns["goal"][:, 0].tolist() == [50.0] * 4 + [60.0] * 4
-    cut = columns_of(walks, goal, 7)
-    assert np.flatnonzero(cut["truncated"]).tolist() == [3, 6] and len(cut["rewards"]) == 7
-    assert np.flatnonzero(columns_of(walks, goal, 3)["truncated"]).tolist() == []
+    """The first walk arrives, the second has its time up, the third is still going."""
+    walks = [
+        walk_of([(8, 0), (9, 0), (9.6, 0)], (50.0, 0.0), arrived=True),
+        walk_of([(0, 0), (1, 0), (2, 0), (3, 0)], (60.0, 0.0)),
+        walk_of([(0, 0), (1, 0), (2, 0)], (70.0, 0.0), finished=False),
+    ]
+    columns = columns_of(walks, 6)
+    assert columns["rewards"].tolist() == [0, 1, 0, 0, 0, 0]
+    assert np.flatnonzero(columns["terminated"]).tolist() == [1]
+    assert np.flatnonzero(columns["truncated"]).tolist() == [4, 5]
+    assert columns["goal"][:, 0].tolist() == [50.0] * 2 + [60.0] * 3 + [70.0]
+    assert columns["walk"].tolist() == [0, 0, 1, 1, 1, 2] and columns["next_observations"][1, 0] == np.float32(9.6)
+    assert {len(column) for column in columns.values()} == {6}
+    assert np.flatnonzero(columns_of(walks[:1], 2)["truncated"]).tolist() == []
+    assert np.flatnonzero(columns_of(walks[:1], 1)["truncated"]).tolist() == [0]
 
 
 def test_figures_say_who_reached_their_goal_who_fell_and_where_they_were():
     maze = ANT_MAZES["umaze"]
-    places = [[(0, 0), (4, 0), (8, 0)], [(0, 0), (0, 1), (0, 0)], [(8, 4), (8, 8), (4, 8)]]
-    walks = walks_of(places, [(8.3, 0.3), (8.0, 0.0), (8.0, 8.0)])
-    walks.bodies[1, 2, 3:7] = 0.0, 1.0, 0.0, 0.0
-    figures = statistics_of(walks, columns_of(walks, (4.0, 8.0), 6), maze)
-    assert (figures["reached_share"], figures["flipped_share"]) == (pytest.approx(2 / 3), pytest.approx(1 / 3))
-    assert figures["steps_to_goal"] == 1.5 and figures["whole_walks"] == 3
-    assert (figures["goal_rows"], figures["goal_walks"]) == (1, 1)
-    assert figures["visited_share"] == pytest.approx(4 / 7), "of seven free cells"
+    walks = [
+        walk_of([(0, 0), (4, 0), (8, 0)], (8.3, 0.3)),
+        walk_of([(0, 0), (0, 1), (0, 0)], (8.0, 0.0)),
+        walk_of([(8, 4), (8, 8), (4, 8)], (8.0, 8.0)),
+        walk_of([(8, 8), (4, 8)], (0.0, 8.0), arrived=True),
+        walk_of([(8, 8), (4, 8), (4, 9)], (0.0, 8.0), finished=False),
+    ]
+    walks[1].bodies[2, 3:7] = 0.0, 1.0, 0.0, 0.0
+    figures = statistics_of(walks, columns_of(walks, 9), maze)
+    assert (figures["reached_share"], figures["flipped_share"]) == (pytest.approx(3 / 4), pytest.approx(1 / 4))
+    assert figures["steps_to_goal"] == pytest.approx((2 + 1 + 1) / 3) and figures["whole_walks"] == 4
+    assert (figures["goal_walks"], figures["shortest_walk"], figures["mean_walk"]) == (1, 1, 1.75)
+    assert figures["visited_share"] == pytest.approx(5 / 7), "of seven free cells"
+    assert statistics_of(walks, columns_of(walks, 6), maze)["whole_walks"] == 3
 
 
-def test_acceptance_notices_walkers_that_do_not_arrive():
+def test_acceptance_notices_walkers_that_do_not_arrive_and_walks_of_one_row():
     good = {name: low for name, (low, _) in LIMITS.items()} | {"whole_walks": 20}
     assert acceptance_of(good)["passed"] is True and findings_of(acceptance_of(good)) == []
-    for name, value in (("reached_share", 0.5), ("flipped_share", 0.5), ("visited_share", 0.9), ("goal_rows", 0)):
+    wrong = {"reached_share": 0.5, "flipped_share": 0.5, "visited_share": 0.9, "goal_walks": 0, "shortest_walk": 1}
+    for name, value in wrong.items():
         judged = acceptance_of(good | {name: value})
         assert judged["passed"] is False
         assert [check["figure"] for check in judged["checks"] if not check["passed"]] == [name]
@@ -152,12 +180,19 @@ def test_what_is_missing_is_explained(monkeypatch, tmp_path):
         generate("antmaze-umaze", 10)
 
 
-def test_the_shipped_walker_leads_ants_to_goals_around_a_corner():
+def test_walks_of_the_shipped_walker_end_at_the_goal_as_episodes_of_evaluation_do():
     """In the small maze two corners lie between start and goal, some 20 m of way."""
-    ants = [AntMaze("umaze", "collection") for _ in range(6)]
-    walks = record(ants, shipped_walker().policy, 6, 300, np.random.default_rng(0))
-    reached, _ = reached_and_flipped(walks)
-    assert reached.mean() >= 0.5
+    dataset = generate("antmaze-umaze", 2000)
+    lengths, returns = dataset.episode_lengths(), dataset.episode_returns()
+    assert lengths[:-1].min() > 60, "no ant is that fast"
+    assert 0 < dataset.terminated.sum() == returns.sum() and set(returns.tolist()) <= {0.0, 1.0}
+    assert dataset.provenance["statistics"]["goal_walks"] == dataset.terminated.sum()
+    distances = np.linalg.norm(dataset.next_observations[:, :2] - SETS["antmaze-umaze"].goal, axis=1)
+    np.testing.assert_array_equal(distances <= 0.5, dataset.terminated)
+
+
+def test_ants_walk_side_by_side_where_many_walks_are_wanted():
+    assert [ants_for(rows, 1000) for rows in (1, 9_999, 100_000, 1_000_000)] == [1, 1, 20, 50]
 
 
 def test_every_set_has_a_map_to_collect_on():

@@ -16,7 +16,7 @@ from odaf.behaviour.ant_task import AntTask, walk
 from odaf.behaviour.exported import halved_snapshots, package_versions, training_record
 from odaf.behaviour.online import OnlineRun, curve_in, run_in
 from odaf.environments.ant_maze import AntMaze
-from odaf.environments.ant_maze_acceptance import reached_and_flipped
+from odaf.environments.ant_maze_acceptance import flipped, steps_to_goal
 from odaf.environments.ant_maze_recorder import record
 from odaf.environments.ant_walker import AntWalker
 from odaf.environments.gaussian_policy import GaussianPolicy
@@ -108,8 +108,7 @@ def export_walker(
 def _look(step: int, policy: GaussianPolicy, ants: Sequence[AntWalker], run: OnlineRun) -> Look:
     walked = [walk(policy, list(ants), SEED + 1 + index) for index in range(WALKS)]
     mazes = [AntMaze(MAZE, "collection", True, run.contact_margins or "larger") for _ in range(MAZE_WALKS)]
-    walks = record(mazes, policy, MAZE_WALKS, MAZE_STEPS, np.random.default_rng(SEED))
-    reached, flipped = reached_and_flipped(walks)
+    walks = record(mazes, policy, MAZE_WALKS * MAZE_STEPS, MAZE_STEPS, np.random.default_rng(SEED))
     return Look(
         step,
         WALKS,
@@ -118,8 +117,8 @@ def _look(step: int, policy: GaussianPolicy, ants: Sequence[AntWalker], run: Onl
         float(np.mean([each.flipped for each in walked])),
         MAZE,
         MAZE_WALKS,
-        float(reached.mean()),
-        float(flipped.mean()),
+        float(np.mean([steps_to_goal(walk) is not None for walk in walks])),
+        float(np.mean([flipped(walk) for walk in walks])),
     )
 
 

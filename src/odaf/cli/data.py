@@ -120,8 +120,8 @@ def generate(arguments: list[str]) -> None:
     if "reached_share" in statistics:
         print(
             f"{statistics['whole_walks']:,} whole walks: {statistics['reached_share']:.0%} reached their own goal, "
-            f"{statistics['flipped_share']:.0%} ended on their back; {statistics['goal_rows']:,} rows in "
-            f"{statistics['goal_walks']:,} walks are at the goal of evaluation; "
+            f"{statistics['flipped_share']:.0%} ended on their back; {statistics['goal_walks']:,} ended at the goal of "
+            "evaluation; "
             f"{summary['transitions'] / seconds:,.0f} transitions/s"
         )
     for finding in summary["provenance"]["findings"]:

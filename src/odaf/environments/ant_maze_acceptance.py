@@ -1,13 +1,13 @@
 """Is a generated ant-maze set what its name says? Do its ants reach their goals, on their feet, everywhere?"""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from odaf.environments.ant_maze import SUCCESS_RADIUS
 from odaf.environments.ant_maze_map import AntMazeMap
-from odaf.environments.ant_maze_recorder import Walks
+from odaf.environments.ant_maze_recorder import Walk
 from odaf.environments.ant_walker import uprightness
 
 # Figure of the statistics: smallest and largest value.
@@ -15,51 +15,61 @@ LIMITS: Mapping[str, tuple[float, float]] = {
     "reached_share": (0.7, 1.0),
     "flipped_share": (0.0, 0.2),
     "visited_share": (0.99, 1.0),
-    "goal_rows": (1, float("inf")),
+    "goal_walks": (1, float("inf")),
+    "shortest_walk": (10, float("inf")),
     "largest_action": (0.0, 1.0),
 }
 FEWEST_WALKS = 20  # fewer say too little of a share
 
 
-def statistics_of(walks: Walks, columns: Mapping[str, np.ndarray], maze: AntMazeMap) -> dict[str, Any]:
+def statistics_of(walks: Sequence[Walk], columns: Mapping[str, np.ndarray], maze: AntMazeMap) -> dict[str, Any]:
     """Figures of a recording.
 
     Args:
-        walks: all of them, each to its own goal.
-        columns: the rows that were made of them, told as attempts at one goal.
+        walks: all of them, each to its own goal; the last may not be over.
+        columns: the rows that were made of them.
         maze: what they went through; of it are the cells that walks may begin in and lead to.
     """
-    steps = walks.actions.shape[1]
-    whole = len(columns["rewards"]) // steps
-    near, (reached, flipped) = _near_goals(walks), reached_and_flipped(walks)
+    rows = len(columns["rewards"])
+    whole = [
+        walk
+        for walk, end in zip(walks, np.cumsum([walk.length for walk in walks]), strict=True)
+        if walk.finished and end <= rows
+    ]
     visited = {maze.cell((x, y)) for x, y in columns["observations"][:, :2].tolist()}
     figures: dict[str, Any] = {
-        "transitions": len(columns["rewards"]),
-        "walks": len(walks.actions),
-        "whole_walks": whole,
-        "goal_rows": int(columns["terminated"].sum()),
-        "goal_walks": len(np.unique(columns["walk"][columns["terminated"]])),
+        "transitions": rows,
+        "walks": len(walks),
+        "whole_walks": len(whole),
+        "goal_walks": sum(walk.arrived for walk in whole),
         "visited_share": float(np.mean([cell in visited for cell in maze.free])),
         "largest_action": float(np.abs(columns["actions"]).max()),
     }
     if whole:
+        steps = [steps_to_goal(walk) for walk in whole]
+        reached = [step for step in steps if step is not None]
         figures |= {
-            "reached_share": float(reached[:whole].mean()),
-            "flipped_share": float(flipped[:whole].mean()),
+            "reached_share": len(reached) / len(whole),
+            "flipped_share": float(np.mean([flipped(walk) for walk in whole])),
+            "shortest_walk": min(walk.length for walk in whole),
+            "mean_walk": float(np.mean([walk.length for walk in whole])),
         }
-        if reached[:whole].any():
-            figures["steps_to_goal"] = float(np.argmax(near[:whole][reached[:whole]], axis=1).mean())
+        if reached:
+            figures["steps_to_goal"] = float(np.mean(reached))
     return figures
 
 
-def reached_and_flipped(walks: Walks) -> tuple[np.ndarray, np.ndarray]:
-    """[W] whether a walk came within 0.5 m of its goal, and [W] whether it ended with the ant on its back."""
-    return np.any(_near_goals(walks), axis=1), np.asarray(uprightness(walks.bodies[:, -1]) < 0.0)
+def steps_to_goal(walk: Walk) -> int | None:
+    """Steps until a walk was within 0.5 m of its goal, or at the place where walks end; None if it came to neither."""
+    near = np.linalg.norm(walk.bodies[:, :2] - walk.goal, axis=1) <= SUCCESS_RADIUS
+    if near.any():
+        return int(np.argmax(near))
+    return walk.length if walk.arrived else None
 
 
-def _near_goals(walks: Walks) -> np.ndarray:
-    """[W, T + 1]."""
-    return np.linalg.norm(walks.bodies[:, :, :2] - walks.goals[:, None], axis=2) <= SUCCESS_RADIUS
+def flipped(walk: Walk) -> bool:
+    """Whether it ended with the ant on its back."""
+    return bool(uprightness(walk.bodies[-1]) < 0.0)
 
 
 def acceptance_of(figures: Mapping[str, Any]) -> dict[str, Any]:

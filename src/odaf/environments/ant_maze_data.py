@@ -1,12 +1,11 @@
 """Ant-maze data recorded on the spot: the names of D4RL's sets, walks of our own walker.
 
-An ant is led to a goal that is drawn for each walk and stays there until its time is up. Afterwards all walks are told
-as attempts at one goal, that of evaluation: rewards and true ends are where the next position is within 0.5 m of it, so
-that a walk which passes it goes on in a further episode. docs/reference/generated-data.md says how the sets differ from
-D4RL's.
+An ant is led to a goal that is drawn for each walk and stays there until its time is up. All walks are told as attempts
+at one goal, that of evaluation: the one that comes within 0.5 m of it earns 1 and ends, as an episode of evaluation
+does, and the ant begins anew. docs/reference/generated-data.md says how the sets differ from D4RL's.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from typing import Any
@@ -14,10 +13,10 @@ from typing import Any
 import numpy as np
 
 from odaf.data.dataset import Dataset
-from odaf.environments.ant_maze import SUCCESS_RADIUS, AntMaze
+from odaf.environments.ant_maze import AntMaze
 from odaf.environments.ant_maze_acceptance import acceptance_of, findings_of, statistics_of
 from odaf.environments.ant_maze_map import ANT_MAZES
-from odaf.environments.ant_maze_recorder import ACTION_NOISE, MOST_ANTS, Walks, record
+from odaf.environments.ant_maze_recorder import ACTION_NOISE, Walk, ants_for, record
 from odaf.environments.contact_margins import ContactMargins
 from odaf.environments.shipped_policies import Walker, shipped_walker
 from odaf.errors import ConfigError
@@ -99,25 +98,20 @@ def generate(
         raise ConfigError(f"transitions={transitions} must be at least 1")
     chosen, rule = SETS[name], contact_margins or MARGINS
     walker, progress = walker or shipped_walker(), progress or Silent()
-    count = -(-transitions // chosen.steps)
-    ants = [AntMaze(chosen.maze, "collection", chosen.random_start, rule) for _ in range(min(MOST_ANTS, count))]
+    ants = [
+        AntMaze(chosen.maze, "collection", chosen.random_start, rule)
+        for _ in range(ants_for(transitions, chosen.steps))
+    ]
     progress.start(name, transitions, unit="rows")
-    walks = record(
-        ants,
-        walker.policy,
-        count,
-        chosen.steps,
-        np.random.default_rng(seed),
-        lambda rows: progress.advance(min(rows, transitions)),
-    )
+    rng = np.random.default_rng(seed)
+    walks = record(ants, walker.policy, transitions, chosen.steps, rng, progress.advance, end=chosen.goal)
     progress.close()
-    columns = columns_of(walks, chosen.goal, transitions)
+    columns = columns_of(walks, transitions)
     statistics = statistics_of(walks, columns, ANT_MAZES[chosen.maze])
     acceptance = acceptance_of(statistics)
-    terminated = columns["terminated"]
     return Dataset.from_arrays(
         **{key: columns[key] for key in ("observations", "actions", "rewards", "next_observations")},
-        terminated=terminated,
+        terminated=columns["terminated"],
         truncated=columns["truncated"],
         action_bounds=(-1.0, 1.0),
         infos={key: columns[key] for key in ("qpos", "qvel", "goal", "walk")},
@@ -147,29 +141,32 @@ def generate(
     )
 
 
-def columns_of(walks: Walks, goal: tuple[float, float], transitions: int) -> dict[str, Any]:
-    """Walks as the first `transitions` rows of attempts at one goal, with the names of `Dataset` and of its infos.
+def columns_of(walks: Sequence[Walk], transitions: int) -> dict[str, Any]:
+    """Walks as their first `transitions` rows, with the names of `Dataset` and of its infos.
 
-    A row earns 1 and ends the task where the position after it is within 0.5 m of `goal`. The last row of a walk, and
-    the last row of all, is cut where it does not.
+    The last row of a walk that arrived earns 1 and ends the task. Any other last row of a walk, and the last row of
+    all, is cut.
     """
-    count, steps = walks.actions.shape[:2]
-    rows = count * steps
-    bodies, after = (part.reshape(rows, -1) for part in (walks.bodies[:, :-1], walks.bodies[:, 1:]))
-    reached = np.linalg.norm(after[:, :2] - np.asarray(goal), axis=1) <= SUCCESS_RADIUS
-    last = np.zeros(rows, bool)
-    last[steps - 1 :: steps] = True
-    last[transitions - 1] = True
-    columns = {
+
+    def joined(pieces: Iterable[np.ndarray]) -> np.ndarray:
+        return np.concatenate(list(pieces))[:transitions]
+
+    bodies, after = joined(walk.bodies[:-1] for walk in walks), joined(walk.bodies[1:] for walk in walks)
+    lengths = [walk.length for walk in walks]
+    ends = np.cumsum(lengths) - 1
+    last, arrived = np.zeros(ends[-1] + 1, bool), np.zeros(ends[-1] + 1, bool)
+    last[ends], arrived[ends] = True, [walk.arrived for walk in walks]
+    last, arrived = last[:transitions], arrived[:transitions]
+    last[-1] = True
+    return {
         "observations": bodies.astype(np.float32),
-        "actions": walks.actions.reshape(rows, -1),
-        "rewards": reached.astype(np.float32),
+        "actions": joined(walk.actions for walk in walks),
+        "rewards": arrived.astype(np.float32),
         "next_observations": after.astype(np.float32),
-        "terminated": reached,
-        "truncated": last & ~reached,
+        "terminated": arrived,
+        "truncated": last & ~arrived,
         "qpos": bodies[:, :15],
         "qvel": bodies[:, 15:],
-        "goal": np.repeat(walks.goals, steps, axis=0),
-        "walk": np.repeat(np.arange(count), steps),
+        "goal": np.repeat([walk.goal for walk in walks], lengths, axis=0)[:transitions],
+        "walk": np.repeat(np.arange(len(walks)), lengths)[:transitions],
     }
-    return {name: column[:transitions] for name, column in columns.items()}

@@ -1,17 +1,16 @@
 """Recording a policy in the simulator: several bodies side by side, whole episodes in the order they were begun.
 
-An episode's length must not decide whether it is recorded, or short episodes would be over-counted. So episodes are
-numbered as they begin, the record is the shortest run of episodes from the first that holds enough steps, and only the
-last of them is cut.
+Only the last episode is cut.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from odaf.environments.gaussian_policy import GaussianPolicy
+from odaf.environments.in_order import play_in_order
 from odaf.environments.locomotion import TIME_LIMIT, Simulator, Task
 from odaf.environments.start_seeds import EVALUATION_SEED_OFFSET
 
@@ -63,38 +62,20 @@ def record(
     """
     simulators = simulators[: slots_for(transitions)]
     task = simulators[0].task
-    episodes: list[Episode] = []
-    playing: list[int | None] = [None] * len(simulators)
     current = np.zeros((len(simulators), task.obs_dim))
-    played = 0
 
-    def begin(slot: int) -> None:
-        playing[slot] = len(episodes)
-        episodes.append(Episode(_room(task)))
+    def begin(slot: int) -> Episode:
         current[slot] = simulators[slot].reset(int(rng.integers(EVALUATION_SEED_OFFSET)))
+        return Episode(_room(task))
 
-    for slot in range(len(simulators)):
-        begin(slot)
-    while True:
-        needed = _needed(episodes, transitions) if played >= transitions else None
-        if needed is not None:
-            # Later episodes will not be part of the record; once the earlier ones are over, it is complete.
-            playing = [number if number is not None and number < needed else None for number in playing]
-            if all(number is None or number == needed - 1 for number in playing):
-                return _cut(episodes[:needed], transitions)
+    def step(playing: Mapping[int, Episode]) -> None:
         actions, densities = _act(policy, current, task, rng)
-        for slot, number in enumerate(playing):
-            if number is None:
-                continue
-            observation = _play(simulators[slot], episodes[number], current[slot], actions[slot], densities[slot])
-            played += 1
-            current[slot] = observation
-            if episodes[number].finished:
-                episodes[number].trim()
-                playing[slot] = None
-                if needed is None:
-                    begin(slot)
-        advance(min(played, transitions))
+        for slot, episode in playing.items():
+            current[slot] = _play(simulators[slot], episode, current[slot], actions[slot], densities[slot])
+            if episode.finished:
+                episode.trim()
+
+    return _cut(play_in_order(len(simulators), transitions, begin, step, advance), transitions)
 
 
 def _room(task: Task) -> dict[str, np.ndarray]:
@@ -140,16 +121,6 @@ def _play(
     episode.finished = fell or episode.length == TIME_LIMIT
     episode.terminated = fell and episode.length < TIME_LIMIT
     return successor
-
-
-def _needed(episodes: Sequence[Episode], transitions: int) -> int | None:
-    """How many episodes from the first hold enough steps already; None if all of them do not."""
-    total = 0
-    for count, episode in enumerate(episodes, 1):
-        total += episode.length
-        if total >= transitions:
-            return count
-    return None
 
 
 def _cut(episodes: Sequence[Episode], transitions: int) -> dict[str, np.ndarray]:

@@ -38,7 +38,7 @@ class AntMazeLog(Log):
     def recipe(self) -> dict[str, Any]:
         return {
             "kind": "ant-maze",
-            "version": 1,
+            "version": 2,  # 1 went on at the goal of evaluation, an episode a row
             "set": self.set_name,
             "transitions": self.transitions,
             "seed": self.seed,
@@ -54,7 +54,7 @@ class AntMazeLog(Log):
         """What a record keeps of the data: how many walks reached their own goals and that of evaluation, and how to
         make them again."""
         logged = run.data["summary"]["provenance"]["statistics"]
-        names = ("transitions", "whole_walks", "reached_share", "flipped_share", "goal_rows", "goal_walks")
+        names = ("transitions", "whole_walks", "reached_share", "flipped_share", "goal_walks")
         command = f"odaf data generate {self.set_name} --transitions {self.transitions} --seed {self.seed} --out FILE"
         return {"same_set": command, **{name: logged.get(name) for name in names}}
 

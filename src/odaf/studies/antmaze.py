@@ -89,7 +89,7 @@ def table(records: Sequence[Record]) -> str:
             "",
             f"**{task}** ({group[0]['environment']}; {data['transitions']:,} rows): {data['reached_share']:.0%} of its "
             f"walks reach their own goal, {data['flipped_share']:.0%} end on their back; {data['goal_walks']:,} walks "
-            "pass the goal of evaluation.",
+            "end at the goal of evaluation.",
             "",
             "| method | updates | seeds | success | 95 % interval | seconds |",
             "|---|---|---|---|---|---|",
