@@ -1,20 +1,23 @@
 """Throughput against the number of lanes: trainings in one compiled program, beside the same trainings in processes.
 
-For each learner and number of lanes: updates a second of all lanes together, seconds to compile, and the memory that
-the program takes. On a processor the same trainings are also made in processes, one a core, in rounds that take turns
-with the lanes; that is what `odaf train` does there.
+For each learner, precision and number of lanes: updates a second of all lanes together, seconds to compile, and the
+memory that the program takes. On a processor the same trainings are also made in processes, one a core, in rounds that
+take turns with the lanes; that is what `odaf train` does there.
 
-`--course N` also trains the most lanes for N updates as a user does, with what is fitted beforehand and evaluations in
-the maze that the package ships, once played beside the training and once not; its seconds are those of the runs' own
-records. `--peers DIR` times the peers whose code lies there (a checkout of CORL).
+`--sets 12` lets lanes draw from so many data sets of three robots, padded to the widest. `--trace DIR` says where the
+time goes, by kind of operation. `--course N` also trains the most lanes for N updates as a user does, with what is
+fitted beforehand and evaluations in the maze that the package ships, once played beside the training and once not; its
+seconds are those of the runs' own records. `--peers DIR` times the peers whose code lies there (a checkout of CORL).
 
     python benchmarks/lanes.py --sizes 64 64 --critics 4 --lanes 8 --json benchmarks/last/lanes.json
     python benchmarks/lanes.py --lanes 1 4 16 64 --updates 1000 --course 20000 --peers ../CORL
+    python benchmarks/lanes.py --learners rebrac sac-n --sizes 256 256 --critics 4 --sets 12 --lanes 60
+    python benchmarks/lanes.py --learners sac-n --lanes 1 64 400 --trace runs/traces
 """
 
 import argparse
-import functools
 import json
+import os
 import statistics
 import subprocess
 import sys
@@ -24,58 +27,21 @@ from pathlib import Path
 from typing import Any
 
 import jax
-import jax.random as jr
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import odaf
 from benchmarks import learners
+from benchmarks.lanes_problem import Lanes, Setting, compiled
+from benchmarks.lanes_trace import traced
 from benchmarks.machine import machine, write_figures
 from odaf.environments import stitch_data
-from odaf.runs import presets
 from odaf.runs.workers import cores, run_jobs
 from odaf.training import loop
 from odaf.training.settings import Precision, RunSettings, products_in
 
 _PEER = Path("algorithms", "offline", "sac_n.py")  # of CORL
-
-Setting = tuple[str, tuple[int, ...], int, int]
-"""Preset, hidden sizes, critics, batch size."""
-
-
-def learner(setting: Setting) -> Any:
-    """The learner of a setting; what the preset does not have is left out."""
-    preset, sizes, critics, batch = setting
-    changes: dict[str, Any] = {"hidden_sizes": sizes, "batch_size": batch}
-    if hasattr(presets.load(preset), "num_critics"):
-        changes["num_critics"] = critics
-    return presets.load(preset, changes)
-
-
-def compiled(setting: Setting, lanes: int) -> tuple[Any, float]:
-    """(the program of so many lanes, seconds that it took to compile)."""
-    algorithm, began = learner(setting), time.perf_counter()
-    shapes = functools.partial(jax.tree.map, lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype))
-    state = shapes(jax.eval_shape(lambda: learners.state_of(algorithm)))
-    program = loop.compiled_lanes(algorithm, shapes(learners.columns()), False, state, lanes)
-    return program, time.perf_counter() - began
-
-
-def in_lanes(setting: Setting, program: Any, lanes: int, updates: int) -> float:
-    """Updates a second of all lanes together."""
-    algorithm, rows = learner(setting), learners.columns()
-    _, numbers = loop.split_lanes([algorithm] * lanes)
-    states: Any = loop.stacked([loop.donatable(learners.state_of(algorithm)) for _ in range(lanes)])
-    keys = jr.split(jr.key(0), lanes)
-
-    def train(first: int, last: int, states: Any) -> Any:
-        number = loop.update_number
-        return jax.block_until_ready(program(numbers, rows, None, keys, number(first), number(last), states, None))[0]
-
-    states = train(0, 2, states)
-    before = time.perf_counter()
-    train(2, 2 + updates, states)
-    return lanes * updates / (time.perf_counter() - before)
+_MOST_TRACED = 20  # updates
 
 
 def in_processes(setting: Setting, seeds: int, updates: int, wait: float) -> float:
@@ -88,8 +54,8 @@ def in_processes(setting: Setting, seeds: int, updates: int, wait: float) -> flo
 
 def _alone(job: tuple[Setting, int, int, float]) -> float:
     setting, seed, updates, start = job
-    algorithm, rows, number = learner(setting), learners.columns(), loop.update_number
-    state = loop.donatable(learners.state_of(algorithm))
+    algorithm, rows, number = setting.learner(), setting.columns(seed), loop.update_number
+    state = setting.state(seed)
     state, _ = loop.train_stretch(algorithm, rows, loop.training_key(seed), number(0), number(2), state)
     jax.block_until_ready(state)
     while time.time() < start:
@@ -107,7 +73,7 @@ def course(setting: Setting, lanes: int, steps: int, workers: int, precision: Pr
         stitch_data.generate(stitch_data.CONFIGS["stitch"].with_repeats(8), seed=0).save(file)
         every = max(1, steps // 4)
         run = odaf.fit(
-            learner(setting), file, directory=Path(folder, "run"), steps=steps, seeds=range(lanes), lanes=lanes,
+            setting.learner(), file, directory=Path(folder, "run"), steps=steps, seeds=range(lanes), lanes=lanes,
             workers=workers, evaluate=odaf.Rollouts(episodes=5, every=every), checkpoint_every=every,
             precision=precision, progress=False,
         )  # fmt: skip
@@ -138,71 +104,99 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--sizes", nargs="+", type=int, default=[256, 256, 256], help="units of each hidden layer")
     parser.add_argument("--critics", type=int, default=10)
     parser.add_argument("--batch", type=int, default=256)
+    parser.add_argument("--sets", type=int, default=1, help="data sets; several are of three robots in turn")
+    parser.add_argument("--rows", type=int, default=learners.ROWS, help="of each data set")
     parser.add_argument("--lanes", nargs="+", type=int, default=[1, 4, 16])
     parser.add_argument("--updates", type=int, default=200, help="updates of a lane in one round")
     parser.add_argument("--rounds", type=int, default=3, help="rounds; the median is reported")
     parser.add_argument("--wait", type=float, default=40.0, help="seconds in which every process must have compiled")
+    parser.add_argument("--trace", type=Path, metavar="DIR", help="also trace each program, into folders of this one")
     parser.add_argument("--course", type=int, metavar="UPDATES", help="also train the most lanes so long, in the maze")
-    parser.add_argument("--precision", choices=["float32", "tensorfloat32"], default="float32", help="of the products")
+    parser.add_argument(
+        "--precision", nargs="+", choices=["float32", "tensorfloat32"], default=["float32"], help="of the products"
+    )
+    parser.add_argument(
+        "--products", choices=["float32", "tensorfloat32", "bfloat16"], help="of the critics' hidden layers alone"
+    )
     parser.add_argument("--peers", type=Path, metavar="DIR", help="a folder of peers' code")
     parser.add_argument("--peer-python", default=sys.executable, help="interpreter that the peers need")
     parser.add_argument("--json", type=Path, help="file for the figures")
     options = parser.parse_args(arguments)
-    RunSettings(precision=options.precision).resolved()  # refuses what this device does not have
-    with products_in(options.precision):
-        measure(options)
-
-
-def measure(options: argparse.Namespace) -> None:
-    """Each learner, one line for each number of lanes."""
-
-    about, figures, courses = machine(), [], []
-    for preset in options.learners:
-        setting = (preset, tuple(options.sizes), options.critics, options.batch)
-        for lanes in options.lanes:
-            program, seconds = compiled(setting, lanes)
-            needs = program.memory_analysis()
-            speeds: dict[str, list[float]] = {"lanes": [], "processes": []}
-            for _ in range(options.rounds):
-                speeds["lanes"].append(in_lanes(setting, program, lanes, options.updates))
-                if jax.default_backend() == "cpu":
-                    speeds["processes"].append(in_processes(setting, lanes, options.updates, options.wait))
-            found = {way: statistics.median(taken) for way, taken in speeds.items() if taken}
-            figures.append(
-                {
-                    "learner": preset,
-                    "hidden_sizes": options.sizes,
-                    "critics": options.critics,
-                    "batch": options.batch,
-                    "lanes": lanes,
-                    "products": options.precision,
-                    "updates_per_second": found,
-                    "rounds": speeds,
-                    "compile_seconds": seconds,
-                    "program_bytes": needs and needs.temp_size_in_bytes + needs.output_size_in_bytes,
-                    "peak_bytes": (jax.devices()[0].memory_stats() or {}).get("peak_bytes_in_use"),
-                }
-            )
-            beside = f", in processes {found['processes']:,.0f}" if "processes" in found else ""
-            print(
-                f"{preset} {options.critics} x {options.sizes}, {lanes} lanes: {found['lanes']:,.0f} updates/s of all "
-                f"lanes together{beside}; compiled in {seconds:.0f} s",
-                flush=True,
-            )
-            write_figures(options.json, about, {"figures": figures})  # so far: the time may end before the last
-        if options.course:
-            lanes = max(options.lanes)
-            for way, workers in (("beside", max(2, cores() - 1)), ("waited for", 1)):
-                seconds = course(setting, lanes, options.course, workers, options.precision)
-                courses.append(
-                    {"learner": preset, "lanes": lanes, "updates": options.course, "evaluation": way, **seconds}
-                )
-                words = ", ".join(f"{name} {value:.0f} s" for name, value in seconds.items())
-                print(f"{preset}, {lanes} lanes of {options.course:,} updates, evaluation {way}: {words}", flush=True)
-                write_figures(options.json, about, {"figures": figures, "courses": courses})
+    for precision in options.precision:
+        RunSettings(precision=precision).resolved()  # refuses what this device does not have
+    about = {**machine(), "xla_flags": os.environ.get("XLA_FLAGS", "")}
+    found: dict[str, Any] = {"figures": [], "courses": []}
+    settings = [
+        Setting(
+            preset, tuple(options.sizes), options.critics, options.batch, options.products, options.sets, options.rows
+        )
+        for preset in options.learners
+    ]
+    for precision in options.precision:
+        with products_in(precision):
+            for setting in settings:
+                for lanes in options.lanes:
+                    found["figures"].append(measured(setting, lanes, precision, options))
+                    write_figures(options.json, about, found)  # so far: the time may end before the last
+                for way in ("beside", "waited for") if options.course else ():
+                    found["courses"].append(_course(setting, way, precision, options))
+                    write_figures(options.json, about, found)
     if options.peers is not None:
-        found = peers(options.peers, options.peer_python)
-        write_figures(options.json, about, {"figures": figures, "courses": courses, "peers": found})
+        found["peers"] = peers(options.peers, options.peer_python)
+        write_figures(options.json, about, found)
+
+
+def measured(setting: Setting, lanes: int, precision: Precision, options: argparse.Namespace) -> dict[str, Any]:
+    """The figures of one program, which are also printed."""
+    program, seconds = compiled(setting, lanes)
+    needs, held = program.memory_analysis(), Lanes(setting, program, lanes)
+    speeds: dict[str, list[float]] = {"lanes": [], "processes": []}
+    for _ in range(options.rounds):
+        speeds["lanes"].append(lanes * options.updates / held.train(options.updates))
+        if jax.default_backend() == "cpu":
+            speeds["processes"].append(in_processes(setting, lanes, options.updates, options.wait))
+    found = {way: statistics.median(taken) for way, taken in speeds.items() if taken}
+    beside = f", in processes {found['processes']:,.0f}" if "processes" in found else ""
+    print(
+        f"{setting.preset} {setting.critics} x {list(setting.hidden_sizes)}, {setting.sets} data sets, {precision} "
+        f"products, {lanes} lanes: {found['lanes']:,.0f} updates/s of all lanes together{beside}; compiled in "
+        f"{seconds:.0f} s",
+        flush=True,
+    )
+    figures = {
+        "learner": setting.preset,
+        "hidden_sizes": setting.hidden_sizes,
+        "critics": setting.critics,
+        "batch": setting.batch,
+        "sets": setting.sets,
+        "lanes": lanes,
+        "products": precision,
+        "critics_products": setting.products,
+        "updates_per_second": found,
+        "rounds": speeds,
+        "compile_seconds": seconds,
+        "program_bytes": needs and needs.temp_size_in_bytes + needs.output_size_in_bytes,
+        "peak_bytes": (jax.devices()[0].memory_stats() or {}).get("peak_bytes_in_use"),
+    }
+    if options.trace is not None:
+        updates = min(options.updates, _MOST_TRACED)
+        folder = options.trace / f"{setting.preset}-{lanes}-{precision}"
+        figures["trace"] = {"updates": updates, **traced(folder, lambda: held.train(updates))}
+        parts = figures["trace"]["milliseconds"]
+        whole = sum(parts.values()) or 1.0
+        words = ", ".join(f"{kind} {taken / whole:.0%}" for kind, taken in parts.items())
+        print(f"{setting.preset}, {lanes} lanes, {updates} updates: {words}; the trace is in {folder}", flush=True)
+    return figures
+
+
+def _course(setting: Setting, way: str, precision: Precision, options: argparse.Namespace) -> dict[str, Any]:
+    lanes, workers = max(options.lanes), max(2, cores() - 1) if way == "beside" else 1
+    seconds = course(setting, lanes, options.course, workers, precision)
+    words = ", ".join(f"{name} {value:.0f} s" for name, value in seconds.items())
+    what = f"{setting.preset}, {lanes} lanes of {options.course:,} updates, {precision} products"
+    print(f"{what}, evaluation {way}: {words}", flush=True)
+    about = {"learner": setting.preset, "lanes": lanes, "updates": options.course, "products": precision}
+    return {**about, "evaluation": way, **seconds}
 
 
 if __name__ == "__main__":

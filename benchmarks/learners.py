@@ -101,17 +101,17 @@ def load(name: str) -> Any:
     return algorithm
 
 
-def columns(extras: Sequence[str] = ()) -> Transitions:
-    """Random transitions of the problem's shapes, with the extra columns that a learner's view asks for."""
+def columns(extras: Sequence[str] = (), spec: Spec = SPEC, rows: int = ROWS) -> Transitions:
+    """Random transitions of a task's shapes, with the extra columns that a learner's view asks for."""
     keys = jr.split(jr.key(0), 4)
-    widths = {"next_actions": (SPEC.act_dim,)}
+    widths = {"next_actions": (spec.act_dim,)}
     return Transitions(
-        jr.normal(keys[0], (ROWS, SPEC.obs_dim)),
-        jr.uniform(keys[1], (ROWS, SPEC.act_dim), minval=-1.0, maxval=1.0),
-        jr.uniform(keys[2], (ROWS,)),
-        jr.normal(keys[3], (ROWS, SPEC.obs_dim)),
-        jnp.zeros(ROWS),
-        {name: jnp.ones((ROWS, *widths.get(name, ()))) for name in extras},
+        jr.normal(keys[0], (rows, spec.obs_dim)),
+        jr.uniform(keys[1], (rows, spec.act_dim), minval=-1.0, maxval=1.0),
+        jr.uniform(keys[2], (rows,)),
+        jr.normal(keys[3], (rows, spec.obs_dim)),
+        jnp.zeros(rows),
+        {name: jnp.ones((rows, *widths.get(name, ()))) for name in extras},
     )
 
 

@@ -1,6 +1,7 @@
 """The timed scripts still run: tiny sizes, figures not looked at."""
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -15,7 +16,7 @@ from odaf.data.sampling import sample
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from benchmarks import learners, operations, parts, updates_per_second  # noqa: E402
+from benchmarks import lanes_trace, learners, operations, parts, updates_per_second  # noqa: E402
 
 SCRIPTS = {
     "acting": ["--rounds", "2", "--calls", "2"],
@@ -25,23 +26,70 @@ SCRIPTS = {
     "import_table": ["--rows", "3000"],
     "first_update": ["--rows", "3000", "--learners", "sac-n", "--updates", "2"],
     "many_seeds": ["--learners", "sac-n", "--seeds", "1", "--updates", "2", "--rounds", "1", "--wait", "0"],
+    "lanes": [
+        *("--learners", "rebrac", "--sizes", "8", "--batch", "8", "--sets", "3", "--rows", "50", "--lanes", "4"),
+        *("--updates", "2", "--rounds", "1", "--wait", "0", "--trace"),  # and a folder
+    ],
     "updates_per_second": ["--learners", "sac-n", "--rounds", "1", "--seconds", "0.01"],
 }
 
 
-SLOW = ("first_update", "fitted_q", "many_seeds", "updates_per_second")
+SLOW = ("first_update", "fitted_q", "lanes", "many_seeds", "updates_per_second")
 
 
 @pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.slow] * (name in SLOW)) for name in SCRIPTS])
 def test_a_script_runs_and_writes_its_figures(name, tmp_path):
     out = tmp_path / "figures.json"
+    words = [*SCRIPTS[name], *[str(tmp_path)] * (name == "lanes")]
     done = subprocess.run(
-        [sys.executable, str(ROOT / "benchmarks" / f"{name}.py"), *SCRIPTS[name], "--json", str(out)],
+        [sys.executable, str(ROOT / "benchmarks" / f"{name}.py"), *words, "--json", str(out)],
         capture_output=True,
         text=True,
     )
     assert done.returncode == 0, done.stderr[-2000:]
-    assert "machine" in json.loads(out.read_text())
+    figures = json.loads(out.read_text())
+    assert "machine" in figures
+    if name == "lanes":
+        (found,) = figures["figures"]
+        assert set(found["updates_per_second"]) == {"lanes", "processes"}
+        assert found["trace"]["milliseconds"]["products"] > 0.0
+
+
+def test_a_trace_is_summed_by_kinds_of_operations():
+    events = [("dot.7", 3e6), ("add_reduce_fusion", 1e6), ("dot.7", 1e6), ("gemm_fusion_dot.2", 2e6), ("tanh.1", 5e5)]
+    found = lanes_trace.summed(events)
+    assert found["milliseconds"] == {"products": 6.0, "sums": 1.0, lanes_trace.OTHER: 0.5}
+    assert found["largest"][0] == {"operation": "dot.7", "milliseconds": 4.0, "calls": 2}
+
+
+STUB = """#!/bin/sh
+echo "$XLA_FLAGS | $*" >> "$CALLS"
+case "$*" in *default_backend*) echo gpu ;; *lanes.py*--sets*) exit 1 ;; esac
+"""
+
+
+@pytest.mark.parametrize("minutes", ["9", "0.0001"])
+def test_a_machine_with_an_accelerator_is_measured_with_and_without_an_order_of_sums(tmp_path, minutes):
+    """With a stand-in for Python that notes how it is called, and fails where lanes have several data sets."""
+    stub, calls = tmp_path / "python", tmp_path / "calls"
+    stub.write_text(STUB)
+    stub.chmod(0o755)
+    done = subprocess.run(
+        [str(ROOT / "benchmarks" / "device.sh"), minutes, str(tmp_path / "out")],
+        env={**os.environ, "PYTHON": str(stub), "CALLS": str(calls), "LANES_OPTIONS": "--rows 9", "XLA_FLAGS": "--own"},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    parts = [line for line in calls.read_text().splitlines() if "lanes.py" in line]
+    if minutes != "9":
+        assert not parts and "sac-n: no time is left" in done.stdout
+        return
+    assert len(parts) == 7 and all(line.endswith("--rows 9") for line in parts)
+    ordered = [line for line in parts if line.startswith("--own --xla_gpu_deterministic_ops=true | ")]
+    assert len(ordered) == 2 and all("--precision tensorfloat32 --json" in line for line in ordered)
+    assert "--precision tensorfloat32 float32" in parts[0] and "--lanes 1 64 400" in " ".join(parts)
+    assert "robots: not finished" in done.stdout
 
 
 def _counted_by_the_compiler(algorithm) -> float:
