@@ -65,7 +65,7 @@ def _actor_loss(actor, critics, batch, size: float) -> float:
 
 def test_the_target_takes_the_distance_from_the_logged_next_action_off_where_there_is_one():
     with tiny.exactly():
-        state, batch = tiny.twin_delayed_state(LEARNER), _batch()
+        state, batch = tiny.twin_delayed_state(dataclasses.replace(LEARNER, num_critics=3)), _batch()
         with tiny.recorded() as drawn:
             y = LEARNER.target(state, batch, jr.key(5))
         np.testing.assert_allclose(y, _target(state, batch, np.asarray(drawn[0])), rtol=1e-9)
@@ -155,7 +155,7 @@ def test_tasks_are_as_published(task, penalties):
     rest = (learner.actor_learning_rate, learner.critic_learning_rate, learner.batch_size, learner.discount)
     assert rest == ((3e-4, 5e-5, 256, 0.999) if task.startswith("antmaze") else (1e-3, 1e-3, 1024, 0.99))
     assert learner.reward_scale == (100.0 if task.startswith("antmaze") else 1.0)
-    assert len(presets.tasks("rebrac")) == 21
+    assert len(presets.tasks("rebrac")) == 21 and learner.num_critics == 2
 
 
 @pytest.mark.parametrize(
@@ -165,6 +165,7 @@ def test_tasks_are_as_published(task, penalties):
         ("target_rate", 0.0),
         ("reward_scale", 0.0),
         ("actor_delay", 0),
+        ("num_critics", 0),
         ("critic_penalty", -1.0),
     ],
 )

@@ -11,7 +11,7 @@ import pytest
 from odaf import Policy
 from odaf.cli import main
 from odaf.environments import stitch_data
-from odaf.studies import lanes
+from odaf.studies import lanes, pace
 from odaf.studies.cost import seconds_of
 from odaf.studies.executor import Here
 from odaf.studies.job import Study
@@ -90,6 +90,24 @@ def test_what_the_time_did_not_allow_is_gone_on_with(carried, tmp_path: Path) ->
         ours, theirs = again.record(job), ledger.record(job)
         assert ours is not None and theirs is not None
         assert (ours["final"], ours["lanes"]) == (theirs["final"], theirs["lanes"])
+
+
+def test_as_many_as_end_in_the_time_are_trained_to_their_ends(tmp_path: Path, monkeypatch) -> None:
+    """On a clock that a stretch of n lanes puts forward by n: the ten stretches of four lanes would take 40 of 34."""
+    now = 0.0
+
+    class Slow(pace.Pace):
+        def __call__(self) -> bool:
+            nonlocal now
+            now += self._lanes
+            return super().__call__()
+
+    monkeypatch.setattr(pace, "clock", lambda: now)
+    monkeypatch.setattr(pace, "Pace", Slow)
+    study, work = study_of(trainings(20)), tmp_path / "work"
+    assert not lanes.train_together(study.jobs(), work, Silent(), until=34.0)
+    assert [lanes.at_its_end(job, work) for job in study.jobs()] == [True, True, False, False]
+    assert now == 12.0 + 20.0 and len(list(work.glob("*/config.json"))) == 2
 
 
 def test_processes_that_make_records_leave_the_accelerator_alone(monkeypatch) -> None:

@@ -24,6 +24,7 @@ from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 
 from odaf.algorithms import citations
 from odaf.algorithms.base import Metrics
+from odaf.algorithms.ranges import require_counts
 from odaf.algorithms.twin_delayed import TwinDelayed, TwinDelayedState
 from odaf.components.critics import OUTPUT_BOUND, CriticEnsemble, init_critics
 from odaf.components.losses import squared_distance
@@ -59,6 +60,8 @@ class ReBRAC(TwinDelayed):
 
     hidden_sizes: tuple[int, ...] = (256, 256, 256)
     """Widths of the hidden layers of actor and critics."""
+    num_critics: int = 2
+    """K, the number of Q-functions; two as published."""
     actor_penalty: float = 0.01
     """Weight of the actor's squared distance from the logged action, in units of the mean size of the values."""
     critic_penalty: float = 0.01
@@ -74,6 +77,7 @@ class ReBRAC(TwinDelayed):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        require_counts(self, ["num_critics"])
         if not 0.0 < self.reward_scale < math.inf:
             raise ConfigError(f"reward_scale={self.reward_scale} must be positive")
 
@@ -96,11 +100,13 @@ class ReBRAC(TwinDelayed):
         key_actor, key_critics = jr.split(key)
         sizes = (spec.obs_dim, *self.hidden_sizes, spec.act_dim)
         actor = DeterministicActor(init_mlp(key_actor, sizes, output_bound=HEAD_BOUND))
-        critics = init_critics(key_critics, spec.obs_dim, spec.act_dim, self.hidden_sizes, 2, "layer", OUTPUT_BOUND)
+        critics = init_critics(
+            key_critics, spec.obs_dim, spec.act_dim, self.hidden_sizes, self.num_critics, "layer", OUTPUT_BOUND
+        )
         return TwinDelayedState.begin(actor, critics, ("actor/loss", "actor/distance", "actor/value"))
 
     def target(self, state: TwinDelayedState, batch: Transitions, key: PRNGKeyArray) -> Float[Array, " rows"]:
-        """y, the same for both critics."""
+        """y, the same for all critics."""
         actions, members = self.next_step(state, batch, key)
         distance = batch.extras["followed"] * squared_distance(actions, batch.extras["next_actions"])
         next_values = jnp.min(members, axis=0) - self.critic_penalty * distance

@@ -7,13 +7,14 @@ the same whichever way its policy was trained, and how many lanes there were bes
 import contextlib
 import functools
 import os
-import time
-from collections.abc import Callable, Iterator, Sequence
+import shutil
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from odaf.errors import DivergenceError
+from odaf.studies import pace
 from odaf.studies.identity import differences
 from odaf.studies.job import Job
 from odaf.studies.ledger import Ledger
@@ -21,6 +22,7 @@ from odaf.studies.training import Training
 
 if TYPE_CHECKING:
     from odaf.data.dataset import Dataset
+    from odaf.runs.many import Plan
     from odaf.training.progress import ProgressReport
 
 ACTORS = "actors"
@@ -33,7 +35,8 @@ def train_together(
 
     Logs of other widths share one too where the method can be padded.
 
-    A training whose directory holds a shorter run, or one that was begun in another way, is left to `perform`.
+    A training whose directory holds a shorter run, or one that was begun in another way, is left to `perform`. Where a
+    program's trainings would not all end in the time, the first of them that would are begun anew without the others.
 
     Args:
         jobs: whose records are missing.
@@ -45,8 +48,7 @@ def train_together(
     Returns:
         Whether all was trained in the time.
     """
-    from odaf.evaluation import Rollouts
-    from odaf.runs.many import Plan, fit_many
+    from odaf.runs.many import Plan
     from odaf.training.lanes import program_of
 
     place.mkdir(parents=True, exist_ok=True)
@@ -63,27 +65,56 @@ def train_together(
         plan = Plan(learner, dataset, work.directory(place), work.preset, path, (work.seed,))
         groups.setdefault((program_of(learner, dataset), course), []).append((plan, work))
     for number, group in enumerate(groups.values(), 1):
-        if until is not None and time.monotonic() >= until:
+        if until is not None and pace.clock() >= until:
             return False
-        first = group[0][1]
-        report.message(f"program {number} of {len(groups)}: {len(group)} trainings, {first.steps:,} updates each")
+        steps = group[0][1].steps
+        report.message(f"program {number} of {len(groups)}: {len(group)} trainings, {steps:,} updates each")
+        if not _train(group, place, report, lanes, until):
+            return False
+    return True
+
+
+def _train(
+    group: "Sequence[tuple[Plan, Training]]",
+    place: Path,
+    report: "ProgressReport",
+    lanes: int | None,
+    until: float | None,
+) -> bool:
+    """Trains those of one program, or as many of them as end in the time; returns whether all were trained."""
+    from odaf.evaluation import Rollouts
+    from odaf.runs.many import fit_many
+    from odaf.training.settings import RunSettings
+
+    given, first = len(group), group[0][1]
+    evaluation, begun = first.task.evaluation, begun_among(first, place)
+    stops = pace.stops(first.steps, evaluation.every, first.checkpoint_every, RunSettings.stretch)
+    while True:
+        among = begun or min(lanes or len(group), len(group))
+        keeping = pace.Pace(among, stops, until, begun is None)
         try:
             fit_many(
                 [plan for plan, _ in group],
-                lanes=begun_among(first, place) or min(lanes or len(group), len(group)),
+                lanes=among,
                 steps=first.steps,
-                evaluate=Rollouts(episodes=first.task.evaluation.episodes, every=first.task.evaluation.every),
+                evaluate=Rollouts(episodes=evaluation.episodes, every=evaluation.every),
                 checkpoint_every=first.checkpoint_every,
                 progress=report,
-                asked_to_stop=_over(until),
+                asked_to_stop=keeping,
             )
         except DivergenceError:
             pass  # its record says so
         except KeyboardInterrupt:
-            if until is None or time.monotonic() < until:
-                raise
-            return False
-    return True
+            if keeping.fitting is None:
+                if until is None or pace.clock() < until:
+                    raise
+                return False
+            report.message(f"{among} trainings would not end in the time; the first {keeping.fitting} begin anew")
+            for plan, _ in group:
+                shutil.rmtree(plan.directory)
+            group = group[: keeping.fitting]
+            continue
+        return len(group) == given
 
 
 def begun_among(work: Training, place: Path) -> int | None:
@@ -212,10 +243,6 @@ def _loaded(path: Path) -> "Dataset":
     from odaf.data.dataset import Dataset
 
     return Dataset.load(path)
-
-
-def _over(until: float | None) -> Callable[[], bool]:
-    return lambda: until is not None and time.monotonic() >= until
 
 
 def _copied(source: Path, target: Path) -> None:

@@ -189,7 +189,11 @@ class Training(Work):
             "warnings": summary["warnings"],
             "algorithm": run.config["algorithm"],
             "identity": {name: self.identity()[name] for name in ("learner_version", "evaluation")},
-            "versions": {key: versions[key] for key in ("python", "versions", "device", "platform")},
+            "versions": {
+                key: versions[key]
+                for key in ("python", "versions", "device", "platform", "precision")
+                if key in versions  # precision is younger than some runs
+            },
         }
         if self.paths and record["final"] is not None:
             record["paths"] = _paths(run, self.seed, self.paths)
