@@ -278,8 +278,8 @@ def _begin_alike(lanes: Sequence[Lane]) -> None:
 
 
 def _that_fits(compile_for: Callable[[int], Any], width: int) -> tuple[int, Any]:
-    """(lanes, program) with at most `width` lanes, halved until an accelerator's memory holds it."""
-    limit = (jax.devices()[0].memory_stats() or {}).get("bytes_limit")
+    """(lanes, program) with `width` lanes, or with those of even turns, as few as an accelerator's memory allows."""
+    limit, asked = (jax.devices()[0].memory_stats() or {}).get("bytes_limit"), width
     while True:
         program = compile_for(width)
         needs = program.memory_analysis()
@@ -287,14 +287,17 @@ def _that_fits(compile_for: Callable[[int], Any], width: int) -> tuple[int, Any]
             return width, program
         needed = needs.argument_size_in_bytes + needs.output_size_in_bytes + needs.temp_size_in_bytes
         needed -= needs.alias_size_in_bytes
-        if needed <= _SHARE_OF_MEMORY * limit:
+        allowed = _SHARE_OF_MEMORY * limit
+        if needed <= allowed:
             return width, program
         if width == 1:
             raise ConfigError(
                 f"a training needs {needed / 1e9:.1f} GB, and the device has {limit / 1e9:.1f}; take a smaller batch "
                 "or fewer critics"
             )
-        width = (width + 1) // 2
+        most = max(1, min(width - 1, int(width * allowed / needed)))  # memory grows with the lanes
+        turns = -(-asked // most)
+        width = -(-asked // turns)
 
 
 def _in_words(lanes: Sequence[Lane]) -> str:
