@@ -12,6 +12,7 @@ from odaf.data.normalisation import Normaliser
 from odaf.environments.start_seeds import EVALUATION_SEED_OFFSET, MOST_EPISODES
 from odaf.errors import ConfigError, DivergenceError
 from odaf.evaluation import Episodes, RolloutEvaluator, Rollouts, rollout
+from odaf.evaluation.parts import in_one
 from odaf.evaluation.rollouts import summarise
 from odaf.training.policy import Policy
 
@@ -54,6 +55,25 @@ class Countdown:
 
 def _constant(rows):
     return np.zeros((len(rows), 1), np.float32)
+
+
+def test_an_evaluation_in_parts_is_the_whole_one():
+    """Episodes of lengths 3 to 7; in the second part two break off, and no sound one is left that tells its flags."""
+
+    def act(rows):
+        return np.where(np.isin(rows[:, :1], (2.0, 3.0)), np.nan, 0.0).astype(np.float32)
+
+    whole = rollout(act, Countdown, 7, seed=3)
+    parts = [rollout(act, Countdown, count, seed=3, first=first) for first, count in ((0, 2), (2, 2), (4, 3))]
+    joined = in_one(parts)
+    for name in ("observations", "rewards", "lengths", "returns"):
+        np.testing.assert_array_equal(getattr(joined, name), getattr(whole, name))
+    assert joined.broken == whole.broken and set(whole.broken) == {2, 3} and not parts[1].flags
+    assert {name: flag.tolist() for name, flag in joined.flags.items()} == {
+        name: flag.tolist() for name, flag in whole.flags.items()
+    }
+    with pytest.raises(ConfigError, match="episodes: must be from 1 to"):
+        rollout(act, Countdown, 2, first=MOST_EPISODES - 1)
 
 
 def test_each_environment_plays_one_whole_episode_and_no_more():

@@ -51,6 +51,8 @@ class EvaluateOptions:
     contact_margins: Annotated[Literal["added", "larger"] | None, tyro.conf.arg(metavar="RULE")] = None
     """How MuJoCo counts the contact margins of two parts that touch: `added`, as it does from 3.5.0 on, or `larger`, as
     before, which makes Hopper and the point mazes the older bodies; without it, as the run did."""
+    workers: Annotated[int | None, tyro.conf.arg(metavar="INT")] = None
+    """Processes that play episodes side by side; without it, 1. More of them may change the last digits."""
     json: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """File to write the scores to, with every episode's return and length."""
     attack: Annotated[Attack | None, tyro.conf.arg(metavar="NAME")] = None
@@ -97,6 +99,8 @@ def run(arguments: list[str]) -> None:
         _refuse(options, _KNOCK_ONLY, "--knock LEVEL")
     outputs = {"--json": (options.json, ATTACK_SCORES if attacked else SCORES), "--plot": (options.plot, PICTURE)}
     check_outputs(outputs, [options.directory, options.attacker, options.data], options.force)
+    if options.workers is not None and (attacked or disturbed):
+        raise ConfigError("--workers: episodes under attack or with a knock are played in one process; leave it out")
     if attacked:
         _under_attack(options)
     elif disturbed:
@@ -121,7 +125,8 @@ def _in_peace(options: EvaluateOptions) -> None:
     from odaf.runs.evaluate import evaluate
     from odaf.training.files import write_json
 
-    scores = evaluate(options.directory, **_where(options, _EPISODES))
+    workers = 1 if options.workers is None else options.workers
+    scores = evaluate(options.directory, **_where(options, _EPISODES), workers=workers)
     print(score_table(scores))
     if len(scores.by_seed) > 1 or math.isnan(scores.mean):
         print(f"\n{scores}")

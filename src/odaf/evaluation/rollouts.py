@@ -84,6 +84,7 @@ def rollout(
     episodes: int,
     seed: int = 0,
     max_steps: int | None = None,
+    first: int = 0,
 ) -> Episodes:
     """Runs exactly one episode in each of `episodes` fresh environments, all in step with one another.
 
@@ -97,13 +98,14 @@ def rollout(
         episodes: how many.
         seed: chooses the environments' reset seeds; equal seeds give equal starts, for a fair comparison of policies.
         max_steps: cuts episodes that the environment does not end itself.
+        first: number of the first episode, which has the start of that number; for an evaluation played in parts.
 
     Raises:
         ConfigError: a number is out of range, or an environment goes on without end.
     """
     environments = [make_env() for _ in range(episodes)]
     try:
-        return rollout_in(policy, environments, seed, max_steps)
+        return rollout_in(policy, environments, seed, max_steps, first)
     finally:
         for environment in environments:
             environment.close()
@@ -114,11 +116,12 @@ def rollout_in(
     environments: Sequence[Environment],
     seed: int = 0,
     max_steps: int | None = None,
+    first: int = 0,
 ) -> Episodes:
     """`rollout` in environments that already exist; they are reset first and stay open."""
     episodes = len(environments)
-    _check(episodes, seed, max_steps)
-    first_seed = EVALUATION_SEED_OFFSET + seed * MOST_EPISODES
+    _check(first + episodes, seed, max_steps)
+    first_seed = EVALUATION_SEED_OFFSET + seed * MOST_EPISODES + first
     starts = [environment.reset(seed=first_seed + index)[0] for index, environment in enumerate(environments)]
     current = np.stack([np.asarray(start, np.float32) for start in starts])
     broken: dict[int, str] = {}

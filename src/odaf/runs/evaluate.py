@@ -1,111 +1,16 @@
 """Measuring the policies of a run again: other episodes, another checkpoint, another environment."""
 
 import os
-from collections.abc import Iterator, Mapping
-from contextlib import AbstractContextManager
-from dataclasses import dataclass, replace
-from functools import cached_property
-from pathlib import Path
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
-from odaf.environments.contact_margins import ContactMargins, recorded, warn_if_other
+from odaf.environments.contact_margins import ContactMargins
 from odaf.errors import ConfigError
-from odaf.evaluation.examination import Examined, examine
-from odaf.evaluation.rollouts import Episodes, MakeEnvironment, Rollouts, rollout, summarise
-from odaf.evaluation.scores import Scores, scores_from
-from odaf.training.policy import Policy
-from odaf.training.run_directory import RunDirectory
-from odaf.training.settings import products_in
-
-
-@dataclass(frozen=True)
-class Trial:
-    """The policies of a run, and where and how often they are to be tried; nothing in the run's directory changes.
-
-    Attributes:
-        run: the run.
-        rollouts: the environment, described in full, with the number of episodes and their seed.
-        step: the checkpoint after so many updates; None takes each seed's last.
-    """
-
-    run: RunDirectory
-    rollouts: Rollouts
-    step: int | None
-
-    @classmethod
-    def of(
-        cls,
-        directory: str | os.PathLike[str],
-        *,
-        episodes: int,
-        seed: int,
-        step: int | None,
-        environment: str | Mapping[str, Any] | MakeEnvironment | None,
-        contact_margins: ContactMargins | None = None,
-    ) -> "Trial":
-        """See `evaluate` for the arguments and what is raised."""
-        run = RunDirectory(Path(directory))
-        settings = run.config.get("evaluate") or {}
-        known = settings.get("environment") or run.data["environment"]
-        if environment is None and known is None:
-            raise ConfigError(
-                f"{run.path}: neither the run nor its data set names an environment to play in; "
-                "give one, as --env Hopper-v5"
-            )
-        rollouts = Rollouts(environment, episodes=episodes, seed=seed, max_steps=settings.get("max_steps"))
-        trial = cls(run, replace(rollouts, contact_margins=contact_margins).resolved(known), step)
-        warn_if_other(recorded(run.data["summary"]["provenance"]), trial.examined.simulator)
-        return trial
-
-    @property
-    def environment(self) -> Mapping[str, Any]:
-        """The full description, for `odaf.environments.make`.
-
-        Raises:
-            ConfigError: the environment is a class or function, which has none.
-        """
-        if isinstance(self.rollouts.environment, Mapping):
-            return self.rollouts.environment
-        raise ConfigError(f"environment {self.rollouts.name}: is a class or function; here only a description will do")
-
-    @property
-    def environment_id(self) -> str | None:
-        """Gymnasium's name of the environment, if it has one."""
-        environment = self.rollouts.environment
-        return environment.get("id") if isinstance(environment, Mapping) else None
-
-    @cached_property
-    def examined(self) -> Examined:
-        """The environment, found to fit the run's data.
-
-        Raises:
-            ConfigError: it does not.
-        """
-        names, rollouts = self.run.data["summary"]["observation_names"], self.rollouts
-        return examine(rollouts.maker(), rollouts.name, self.run.spec, names, rollouts.rule, self.run.derivation)
-
-    def policies(self) -> Iterator[tuple[int, Policy]]:
-        """Every training seed with what it had learned, on what the environment gives."""
-        for seed in self.run.seeds:
-            yield seed, self.examined.fitting(self.run.policy(seed, self.run.checkpoint(seed, self.step).step))
-
-    def scores(self, played: Mapping[int, Episodes]) -> Scores:
-        """Scores of every seed from the episodes that its policy played."""
-        summaries: dict[int, dict[str, Any]] = {}
-        notes = []
-        for seed, episodes in played.items():
-            summed = summarise(episodes)
-            stated = {"step": self.run.checkpoint(seed, self.step).step, "simulator": self.examined.simulator}
-            lengths = {"lengths": episodes.lengths.tolist()}
-            flags = {name: flag.tolist() for name, flag in episodes.flags.items()}
-            summaries[seed] = {"evaluation": stated | summed.summary | {"by_episode": lengths | flags}}
-            notes += [f"seed {seed}: {sentence}" for sentence in summed.warnings.values()]
-        scores = scores_from(summaries, str(self.run.path), self.environment_id)
-        return replace(scores, notes=tuple(notes))
-
-    def precision(self) -> AbstractContextManager[object]:
-        """A context in which policies act as they did when the run evaluated them."""
-        return products_in(self.run.config.get("precision"))
+from odaf.evaluation.rollouts import MakeEnvironment, rollout
+from odaf.evaluation.scores import Scores
+from odaf.runs.evaluate_apart import played_apart
+from odaf.runs.trial import Trial
 
 
 def evaluate(
@@ -116,6 +21,7 @@ def evaluate(
     step: int | None = None,
     environment: str | Mapping[str, Any] | MakeEnvironment | None = None,
     contact_margins: ContactMargins | None = None,
+    workers: int = 1,
 ) -> Scores:
     """Play episodes with one checkpoint of every seed of a run; nothing in its directory changes.
 
@@ -128,6 +34,9 @@ def evaluate(
             builds one; None takes the environment that the run was evaluated in, else its data set's.
         contact_margins: how MuJoCo counts the margins of geoms that touch, "added" or "larger"; None is as the
             environment's description says, or else as the installed MuJoCo does.
+        workers: processes that play side by side, on processors alone; 1 plays in this one. A policy's episodes are
+            played in one batch, or in parts where there are fewer policies than workers, and then the last digits may
+            differ. The calling script must call `evaluate` below `if __name__ == "__main__":`.
 
     Raises:
         CheckpointError: there is no run, no such checkpoint, or a damaged one.
@@ -137,10 +46,15 @@ def evaluate(
     trial = Trial.of(
         directory, episodes=episodes, seed=seed, step=step, environment=environment, contact_margins=contact_margins
     )
-    with trial.precision():
-        played = {
-            policy_seed: rollout(policy, trial.examined.make_env, episodes, seed, trial.rollouts.max_steps)
-            for policy_seed, policy in trial.policies()
-        }
+    if workers < 1:
+        raise ConfigError(f"workers={workers}: must be at least 1")
+    if workers > 1:
+        played = played_apart(trial, workers)
+    else:
+        with trial.precision():
+            played = {
+                policy_seed: rollout(policy, trial.examined.make_env, episodes, seed, trial.rollouts.max_steps)
+                for policy_seed, policy in trial.policies()
+            }
     scores = trial.scores(played)
     return replace(scores, notes=(*trial.examined.warnings.values(), *scores.notes))

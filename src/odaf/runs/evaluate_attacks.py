@@ -18,7 +18,7 @@ from odaf.evaluation.attacks import ATTACKS, AttackedPolicy, Judge, StepRule, th
 from odaf.evaluation.rollouts import rollout_in
 from odaf.evaluation.scores import Scores
 from odaf.evaluation.statistics import Estimate, t_interval
-from odaf.runs.evaluate import Trial
+from odaf.runs.trial import Trial
 from odaf.training.run_directory import RunDirectory
 
 BUDGETS = (0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3)

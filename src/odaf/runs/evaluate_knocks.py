@@ -19,7 +19,7 @@ from odaf.evaluation.recovery import KnownGround
 from odaf.evaluation.rollouts import Environment, Episodes, rollout
 from odaf.evaluation.scores import Scores
 from odaf.evaluation.statistics import Estimate
-from odaf.runs.evaluate import Trial
+from odaf.runs.trial import Trial
 from odaf.training.data_search import places
 from odaf.training.run_directory import RunDirectory
 

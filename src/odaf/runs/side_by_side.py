@@ -11,13 +11,13 @@ from typing import Any, Literal
 
 import jax
 
-from odaf.algorithms.registry import register, register_parts
 from odaf.data.dataset import Dataset
 from odaf.data.derived import Derivation
 from odaf.data.spec import Spec
 from odaf.errors import ConfigError, OdafError
 from odaf.evaluation.examination import examine
 from odaf.evaluation.rollouts import RolloutEvaluator, Rollouts
+from odaf.runs.fresh_process import Surroundings
 from odaf.runs.workers import cores, run_jobs, send, stopping
 from odaf.training.combined_progress import CombinedProgress, SeedReport
 from odaf.training.data_search import check_same_data
@@ -29,13 +29,6 @@ from odaf.training.logging import Logger
 from odaf.training.run_directory import RunDirectory
 from odaf.training.seeds import SeedTraining, TrainingData, compiling_stage, prepare
 from odaf.training.settings import RunSettings, products_in
-
-# Settings of JAX that change results or where compiled programs are kept; a fresh process would not know them.
-_JAX_SETTINGS = (
-    "jax_platforms", "jax_enable_x64", "jax_default_matmul_precision", "jax_default_prng_impl",
-    "jax_threefry_partitionable", "jax_enable_compilation_cache",
-    "jax_compilation_cache_dir", "jax_compilation_cache_max_size", "jax_persistent_cache_min_compile_time_secs",
-)  # fmt: skip
 
 
 def default_workers(seeds: int, cores_each: int = 1) -> int:
@@ -83,8 +76,7 @@ def side_by_side(settings: RunSettings, data_path: str | os.PathLike[str] | None
             evaluate=evaluator.rollouts if isinstance(evaluator, RolloutEvaluator) else evaluator,
             settings=replace(settings, evaluate=None),
             loggers=tuple(loggers),
-            registered=register_parts(first.run.algorithm),
-            jax_settings={name: jax.config.values[name] for name in _JAX_SETTINGS},
+            surroundings=Surroundings.of(first.run.algorithm),
         )
         _check_sendable("evaluate", shared.evaluate)
         for logger in loggers:
@@ -129,8 +121,7 @@ class _Shared:
     evaluate: Rollouts | Evaluator | None
     settings: RunSettings
     loggers: tuple[Logger, ...]
-    jax_settings: dict[str, Any]
-    registered: tuple[type, ...]  # learners and terms that are not ours
+    surroundings: Surroundings
 
 
 _shared: _Shared
@@ -139,10 +130,7 @@ _shared: _Shared
 def _prepare(shared: _Shared) -> None:
     global _shared
     _shared = shared
-    for entry in shared.registered:
-        register(entry)
-    for name, value in shared.jax_settings.items():
-        jax.config.update(name, value)
+    shared.surroundings.settle()
     _data.cache_clear()
 
 
