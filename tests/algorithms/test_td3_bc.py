@@ -1,5 +1,7 @@
 """TD3+BC against its formulas, in float64 NumPy."""
 
+import dataclasses
+
 import jax
 import jax.random as jr
 import numpy as np
@@ -43,6 +45,8 @@ def test_target_critics_and_actor_follow_their_formulas():
         large = 20.0 * np.asarray(drawn[0])  # the noise must be cut somewhere, and the action too
         assert np.any(np.abs(0.2 * large) > 0.5)
         np.testing.assert_allclose(y, _target(state, batch, np.asarray(drawn[0])), rtol=1e-9)
+        shifted = dataclasses.replace(LEARNER, reward_shift=-1.0).target(state, batch, jr.key(5))
+        np.testing.assert_allclose(shifted, y - 1.0, rtol=1e-9)
 
         critics = CriticEnsemble(state.critics.now)
         size = np.abs(

@@ -44,6 +44,7 @@ def test_every_method_of_the_plan_resolves_with_its_values_for_the_maze() -> Non
     assert set(learners) == set(antmaze.FIRST + antmaze.LATER)
     assert (learners["iql"].expectile, learners["iql"].reward_shift) == (0.9, -1.0)
     assert (learners["rebrac"].actor_penalty, learners["rebrac"].reward_scale) == (0.001, 100.0)
+    assert (learners["td3-bc"].reward_shift, learners["td3-bc"].value_weight) == (-1.0, 2.5)
     raw = {name for name, learner in learners.items() if learner.observation_scaling == "none"}
     assert raw == {"iql", "rebrac", "spot", "cql"}
 

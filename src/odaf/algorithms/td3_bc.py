@@ -1,7 +1,7 @@
 """TD3+BC: twin critics, a deterministic actor, and cloning beside the value it climbs (Fujimoto and Gu 2021).
 
     a'   = clip( mu'(s') + clip(noise, -c, c), -1, 1 ),                noise ~ N(0, target_noise^2)
-    y    = r + discount (1 - d) min_k Q'_k(s', a')
+    y    = r + reward_shift + discount (1 - d) min_k Q'_k(s', a')
     L_Q  = sum_k mean_B ( Q_k(s, a) - y )^2
     L_pi = - w mean_B Q_1(s, mu(s)) + mean_{B, dims} ( mu(s) - a )^2,  w = value_weight / sg[ mean_B |Q_1(s, mu(s))| ]
 
@@ -53,6 +53,8 @@ class TD3BC(TwinDelayed):
     """alpha, the weight of the value against cloning, in units of the mean size of the values."""
     learning_rate: float = 3e-4
     """Step size of Adam for actor and critics."""
+    reward_shift: float = 0.0
+    """Added to every reward, such as -1 in mazes whose reward is 1 at the goal."""
 
     def can_be_padded(self) -> bool:
         """Yes: what it averages and draws is of own dimensions."""
@@ -75,7 +77,8 @@ class TD3BC(TwinDelayed):
     def target(self, state: TwinDelayedState, batch: Transitions, key: PRNGKeyArray) -> Float[Array, " rows"]:
         """y, the same for both critics."""
         _, next_values = self.next_step(state, batch, key)
-        return bellman_target(batch.rewards, batch.terminated, jnp.min(next_values, axis=0), self.discount)
+        rewards = batch.rewards + self.reward_shift
+        return bellman_target(rewards, batch.terminated, jnp.min(next_values, axis=0), self.discount)
 
     def update(
         self, state: TwinDelayedState, batch: Transitions, key: PRNGKeyArray
