@@ -30,9 +30,11 @@ class ReaderOptions:
     """For tables and LeRobot folders without rewards, in place of --reward: every row earned this. Enough for
     cloning."""
     goal: Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="X Y")] = None
-    """For OGBench's mazes: the reward is 0 near this place and -1 elsewhere, and the task ends there."""
+    """For OGBench's mazes: the reward is 0 near this place and -1 elsewhere, and the task ends there. For
+    Minari's, recorded with many goals, the reward is 1 near this place and 0 elsewhere."""
     goal_radius: Annotated[float | None, tyro.conf.arg(metavar="NUMBER")] = None
-    """How near; without it 1.0, as in the point mazes; 0.5 in those of the ant and the humanoid."""
+    """How near; without it 1.0 for OGBench, as in its point mazes (0.5 in those of the ant and the humanoid), and 0.45
+    for Minari."""
     episode: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
     """Column of ids, equal for the rows of one episode."""
     single_episode: bool = False

@@ -280,3 +280,46 @@ def test_arrow_without_pyarrow_names_the_extra(write, monkeypatch):
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     with pytest.raises(DatasetError, match=r'need pyarrow, which is not installed .*; pip install "odaf\[minari\]"'):
         Dataset.load(path)
+
+
+def test_a_recording_of_many_goals_is_told_for_one(tmp_path):
+    """A robot that walks along a line and back, one metre a step, and one that stands at the goal at first."""
+    walks = [[0, 1, 2, 3, 4, 4, 4, 3, 2, 1, 2, 3, 4, 5], [4, 4, 3, 2, 1, 0]]
+    (tmp_path / "data").mkdir()
+    with h5py.File(tmp_path / "data" / "main_data.hdf5", "w") as file:
+        for number, walk in enumerate(walks):
+            steps, places = len(walk) - 1, np.array([walk, [7.0] * len(walk)]).T
+            group = file.create_group(f"episode_{number}")
+            group["observations/achieved_goal"], group["observations/desired_goal"] = places, places + 1.0
+            group["observations/observation"] = np.arange(len(walk), dtype=np.float64)[:, None] + 100 * number
+            group["actions"], group["rewards"] = np.full((steps, 1), 0.5), np.ones(steps)
+            group["terminations"], group["truncations"] = np.zeros(steps, bool), np.arange(steps) == steps - 1
+            group["infos/goal"] = places + 1.0
+    (tmp_path / "data" / "metadata.json").write_text(json.dumps({"data_format": "hdf5"}))
+
+    def told(goal, entries=("achieved_goal", "observation"), **options):
+        return Dataset.load(tmp_path, observations=entries, action_bounds=(-1.0, 1.0), goal=goal, **options)
+
+    dataset = told((4.0, 7.0))
+    # The goal's ring has a radius of 0.45, and four of them away, 1.8 m, the robot begins anew.
+    assert dataset.observations[:, 2].tolist() == [0, 1, 2, 3, 8, 9, 10, 11, 103, 104]
+    assert dataset.observations[:, 0].tolist() == [0, 1, 2, 3, 2, 1, 2, 3, 2, 1]
+    assert dataset.next_observations[:, 2].tolist() == [1, 2, 3, 4, 9, 10, 11, 12, 104, 105]
+    assert dataset.rewards.tolist() == dataset.terminated.tolist() == [0, 0, 0, 1, 0, 0, 0, 1, 0, 0]
+    assert dataset.episode_lengths().tolist() == [4, 4, 2] and np.flatnonzero(dataset.truncated).tolist() == [9]
+    assert dataset.infos["goal"][:, 0].tolist() == [1, 2, 3, 4, 3, 2, 3, 4, 3, 2]
+    assert dataset.provenance["goal"] == [4.0, 7.0]
+    (finding,) = [each for each in dataset.provenance["findings"] if each["finding"] == "rewards-from-goal"]
+    assert finding["count"] == 2 and "8 rows that began there are left out" in finding["message"]
+    far = told((4.0, 7.0), goal_radius=1.1)
+    assert far.episode_lengths().tolist() == [3] and far.terminated.sum() == 1
+    for wrong, message in (((4.0,), "give two numbers"), ((4.0, np.nan), "give two numbers")):
+        with pytest.raises(DatasetError, match=message):
+            told(wrong)
+    with pytest.raises(DatasetError, match="no row begins away from it"):
+        told((4.0, 7.0), goal_radius=50.0)
+    with h5py.File(tmp_path / "data" / "main_data.hdf5", "r+") as file:
+        for number in range(2):
+            del file[f"episode_{number}/observations/achieved_goal"]
+    with pytest.raises(DatasetError, match="needs positions in field 'observations/achieved_goal'"):
+        told((4.0, 7.0), ["observation"])

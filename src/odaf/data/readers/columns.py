@@ -96,6 +96,37 @@ class Joined:
         return flat[0] if len(flat) == 1 else np.concatenate(flat, axis=1)
 
 
+@dataclass(frozen=True, eq=False)
+class Kept:
+    """Some rows of a column.
+
+    Attributes:
+        column: of N rows.
+        rows: [M] their numbers, ascending.
+    """
+
+    column: Column
+    rows: np.ndarray
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        return (len(self), *self.column.shape[1:])
+
+    @property
+    def dtype(self) -> Any:
+        return self.column.dtype
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def __getitem__(self, key: Any) -> Any:
+        if not isinstance(key, slice):
+            return self[:][key]
+        chosen = self.rows[key]
+        first, end = (int(chosen.min()), int(chosen.max()) + 1) if len(chosen) else (0, 0)
+        return np.asarray(self.column[first:end])[chosen - first]
+
+
 def common_type(source: str, field: str, types: Iterable[Any]) -> Any:
     """The type that holds the values of all pieces; `DatasetError` where whole numbers would lose digits in it."""
     found = {np.dtype(each) for each in types}

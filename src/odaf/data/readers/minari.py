@@ -13,10 +13,12 @@ import numpy as np
 from odaf.data import storage, validation
 from odaf.data.log import Column, Log
 from odaf.data.readers import hdf5
+from odaf.data.readers.attempts import told_for_goal
 from odaf.data.readers.columns import Joined, Pieces
 from odaf.data.readers.minari_environment import environments_of, json_object
 from odaf.errors import DatasetError
 
+POSITIONS = "observations/achieved_goal"
 MAIN_FILE = "main_data.hdf5"
 EPISODE = re.compile(r"episode_(0|[1-9]\d{0,17})")
 _FACTS = ("dataset_id", "total_episodes", "total_steps", "algorithm_name", "minari_version", "env_spec")
@@ -47,6 +49,8 @@ def read(
     observations: Sequence[str] | None = None,
     actions: Sequence[str] | None = None,
     action_bounds: validation.Bounds | None = None,
+    goal: Sequence[float] | None = None,
+    goal_radius: float = 0.45,
 ) -> Log:
     """The log in a Minari folder; its large columns stay in the files until they are sliced.
 
@@ -60,6 +64,11 @@ def read(
         actions: the same for actions.
         action_bounds: lowest and highest action. None takes them from the action space in `metadata.json`, and where
             that has none, from the data.
+        goal: (x, y) of one goal of a maze whose recording gave a robot a new goal wherever it reached one. The rewards
+            are told anew for it, 1 where it is reached and 0 elsewhere, the task ends there, and rows are left out
+            until the robot has gone away again; see `odaf.data.readers.attempts`. Positions are the observations'
+            entry `achieved_goal`.
+        goal_radius: how near counts as there; 0.45 in the mazes of gymnasium-robotics.
 
     Raises:
         DatasetError: no episodes, an entry that is missing or has to be named, discrete actions, images, or episodes
@@ -89,7 +98,7 @@ def read(
     infos, others = _infos(episodes, leaves, steps)
     named, findings = environments_of(metadata)
     read_leaves = {"rewards", *ends, *observed, *acted}
-    return Log(
+    log = Log(
         columns=columns,
         source=source,
         format="minari",
@@ -102,6 +111,12 @@ def read(
         | {"fields_not_read": sorted({leaf for leaf in leaves if leaf not in read_leaves} - set(others))},
         findings=(*_missing_episodes(metadata, len(episodes.ids)), *findings),
     )
+    if goal is None:
+        return log
+    if POSITIONS not in leaves:
+        raise DatasetError(f"{source}: goal= needs positions in field '{POSITIONS}', which is missing; leave goal= out")
+    before = _of_steps(source, episodes.column(POSITIONS), POSITIONS, steps, 1)
+    return told_for_goal(log, goal, goal_radius, before, replace(before, skip=1))
 
 
 def data_folder(path: Path) -> Path:

@@ -10,6 +10,7 @@ import numpy as np
 from odaf.data import validation
 from odaf.data.log import Column, Log
 from odaf.data.readers import numpy_files
+from odaf.data.readers.attempts import goal_of
 from odaf.errors import DatasetError
 
 REQUIRED = ("observations", "actions", "terminals")
@@ -84,7 +85,7 @@ def read(
             raise DatasetError(f"{source}: has its own 'rewards'; leave reward= and goal= out")
         rewards = arrays["rewards"]
     elif goal is not None and reward is None:
-        reached = _reached(source, arrays.get("qpos"), goal, goal_radius)
+        reached = _reached(source, arrays.get("qpos"), goal_of(source, goal, goal_radius), goal_radius)
         rewards, terminated = reached.astype(np.float32) - 1, reached & ~no_step
         findings.append(
             {
@@ -121,18 +122,10 @@ def read(
     )
 
 
-def _reached(source: str, positions: np.ndarray | None, goal: Sequence[float], radius: float) -> np.ndarray:
+def _reached(source: str, positions: np.ndarray | None, goal: np.ndarray, radius: float) -> np.ndarray:
     if positions is None or positions.ndim != 2 or positions.shape[1] < 2 or positions.dtype.kind not in "iuf":
         raise DatasetError(f"{source}: goal= needs positions in field 'qpos' [rows, 2 or more]; pass reward= instead")
-    try:
-        centre = np.array(goal, np.float64)
-    except (ValueError, TypeError) as error:
-        raise DatasetError(f"{source}: goal={goal!r}: give two numbers, (x, y)") from error
-    if centre.shape != (2,) or not np.isfinite(centre).all() or not radius > 0:
-        raise DatasetError(
-            f"{source}: goal={goal!r} and goal_radius={radius}: give two numbers, (x, y), and a radius above 0"
-        )
-    return np.linalg.norm(positions[:, :2].astype(np.float64) - centre, axis=1) <= radius
+    return np.linalg.norm(positions[:, :2].astype(np.float64) - goal, axis=1) <= radius
 
 
 def _given_rewards(
