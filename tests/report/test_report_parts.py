@@ -8,11 +8,14 @@ import pytest
 from markupsafe import Markup
 from matplotlib.figure import Figure
 from matplotlib.image import imread
+from matplotlib.patches import Rectangle
 from matplotlib.text import Text
 
+from golden.runs import dataset_of
 from odaf.errors import ConfigError
-from odaf.report import chart, charts, drawing, figures, lettering, page
+from odaf.report import chart, charts, drawing, figures, lettering, page, paths
 from odaf.report.configuration import differences, flatten
+from odaf.report.data_page import pictures
 from odaf.report.layout import maze_layout
 from odaf.report.names import names_of
 from odaf.report.quantities import Curve, Trajectories
@@ -248,6 +251,48 @@ def test_maze_letters_stand_where_the_task_says():
     assert maze_layout({"name": "gymnasium", "id": "Hopper-v5"}) is None
     with pytest.raises(ConfigError, match="border"):
         maze_layout({"name": "pointmaze", "maze": MAZE["maze"] | {"rows": ["000000", "100111", "100001", "111111"]}})
+
+
+def test_an_ant_maze_stands_as_its_map_does_with_y_downwards():
+    layout = maze_layout({"name": "gymnasium", "id": "odaf/AntMaze-UMaze-v0", "kwargs": {}})
+    assert layout is not None and (layout.name, layout.aspect, len(layout.walls)) == ("umaze", 1.0, 25 - 7)
+    assert dict(layout.names) == {"S": (0.0, 0.0), "G": (0.0, 8.0)} and layout.goal == (0.75, 8.75)
+    axes = Figure().add_subplot()
+    drawing.draw_maze(axes, drawing.LIGHT, layout, None, None)
+    assert axes.yaxis_inverted() and not axes.xaxis_inverted()
+    (letter,) = (text for text in axes.texts if text.get_text() == "G")
+    assert letter.get_position() == pytest.approx((-1.76, 8.0 - 1.72)), "in the upper left corner of its cell"
+    assert max(patch.get_width() for patch in axes.patches if isinstance(patch, Rectangle)) == 4.0
+    own = {"name": "gymnasium", "id": "odaf/AntMaze-v0", "kwargs": {"maze": ["11111", "1rgg1", "11111"]}}
+    several = maze_layout(own)
+    assert several is not None and several.goal is None and set(several.names) == {"S", "G1", "G2"}
+    drawing.draw_maze(Figure().add_subplot(), drawing.LIGHT, several, None, None)
+    assert maze_layout({"name": "gymnasium", "id": "odaf/AntMaze-v0"}) is None
+
+
+def test_where_nothing_says_who_stitches_success_is_what_counts(run_writer, tmp_path):
+    directory = run_writer(tmp_path / "ant", seeds=(0,), stitches=0.4)
+    content = json.loads((directory / "data.json").read_text())
+    content["environment"] = {"name": "gymnasium", "id": "odaf/AntMaze-UMaze-v0", "kwargs": {}}
+    (directory / "data.json").write_text(json.dumps(content))
+    for file in (directory / "seed-0" / "evaluations").glob("*.npz"):
+        with np.load(file) as arrays:
+            kept = {name: arrays[name] for name in arrays.files if name != "stitched"}
+        np.savez(file, **kept)
+    run = read_run(directory)
+    learned = paths.learned_paths(run)
+    assert learned is not None and learned.good is not None
+    assert (learned.doing, int(learned.good.sum()), paths.good_key([run])) == ("reach the goal", 20, "reaches the goal")
+    (chart,) = paths.maze_charts([run], ["ant"])
+    assert chart.caption == "20 of 50 reach the goal. Each has a goal of its own within the ring."
+
+
+def test_a_log_of_a_maze_is_drawn_in_it():
+    ant = {"name": "gymnasium", "id": "odaf/AntMaze-UMaze-v0", "kwargs": {}}
+    drawn = pictures.maze_chart(dataset_of(29, 8, ant))
+    assert drawn is not None and "Logged paths in the maze umaze" in drawn.svg and ">G</text>" in drawn.svg
+    assert drawn.caption.startswith("All episodes, in the plane")
+    assert pictures.maze_chart(dataset_of(4, 2, {"name": "gymnasium", "id": "Hopper-v5"})) is None
 
 
 def test_drawn_paths_are_the_recorded_ones():

@@ -2,12 +2,14 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from odaf.environments.locomotion_data import NAMES
 from odaf.errors import ConfigError
+from odaf.studies import ant_maze_recordings, logs
 from odaf.studies import generators as generators_study
-from odaf.studies import logs
+from odaf.studies.ant_maze_recordings import AntMazeRecording
 from odaf.studies.generators import Recording
 from odaf.studies.ledger import Ledger
 from odaf.training.progress import Silent
@@ -91,3 +93,25 @@ def test_records_of_other_policies_are_stale(tmp_path: Path) -> None:
         record |= {} if version is None else {"identity": {"version": version}}
         recorded = recording.unrecorded() | recording.recorded(record, {})
         assert (recorded == recording.identity()) == same
+
+
+def test_an_ant_maze_is_recorded_with_its_figures_and_where_its_rows_are(tmp_path: Path) -> None:
+    ledger = Ledger(generators_study.STUDY, tmp_path)
+    job = next(job for job in ledger.study.jobs() if job.name == "antmaze-umaze")
+    small = AntMazeRecording("antmaze-umaze", transitions=8)
+    record = small.do(tmp_path, Silent())
+    assert small.recorded(record, {}) == small.identity() and record["acceptance"]["passed"] is None
+    with pytest.raises(ConfigError, match="transitions was 8, is 100000"):
+        ledger.write(job, record)
+    counts = np.array(record["coverage"]["rows"])
+    assert counts.shape == (12, 12) and counts.sum() == 8 and record["coverage"]["low"] == [-2.0, -2.0]
+    assert counts[:4, :4].sum() == 8, "in the start's cell, the upper left one"
+    table = generators_study.table([record])
+    assert "| antmaze-umaze | 8 | 0 | | | | | 14% | | unknown |" in table
+    walked = {"whole_walks": 25, "reached_share": 0.8, "flipped_share": 0.1, "goal_walks": 20, "shortest_walk": 90}
+    figures = record["statistics"] | walked | {"steps_to_goal": 180.4}
+    assert "| antmaze-umaze | 8 | 25 | 80% | 180 | 10% | 20 | 14% | 90 | unknown |" in generators_study.table(
+        [record | {"statistics": figures}]
+    )
+    ant_maze_recordings.figure([record], tmp_path / "coverage.png")
+    assert (tmp_path / "coverage.png").read_bytes().startswith(b"\x89PNG")

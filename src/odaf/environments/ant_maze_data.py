@@ -15,7 +15,7 @@ import numpy as np
 from odaf.data.dataset import Dataset
 from odaf.environments.ant_maze import AntMaze
 from odaf.environments.ant_maze_acceptance import acceptance_of, findings_of, statistics_of
-from odaf.environments.ant_maze_map import ANT_MAZES
+from odaf.environments.ant_maze_map import ANT_MAZES, GOAL_OFFSET
 from odaf.environments.ant_maze_recorder import ACTION_NOISE, Walk, ants_for, record
 from odaf.environments.contact_margins import ContactMargins
 from odaf.environments.shipped_policies import Walker, shipped_walker
@@ -23,7 +23,6 @@ from odaf.errors import ConfigError
 from odaf.training.progress import ProgressReport, Silent
 
 MARGINS: ContactMargins = "larger"  # the body of the public data
-GOAL_OFFSET = 0.75  # metres from the centre of the goal's cell to the mean of the goals of evaluation, in x and y
 
 
 @dataclass(frozen=True)

@@ -164,3 +164,21 @@ ANT_MAZES: Mapping[str, AntMazeMap] = {
     )
 }
 """By name: `umaze`, `medium` and `large` are those of evaluation, the others those of collection."""
+
+EVALUATED: Mapping[str, str] = {f"odaf/AntMaze-{name}-v0": name.lower() for name in ("UMaze", "Medium", "Large")}
+"""The map of each id that gymnasium knows, those of maps of one's own left out."""
+
+GOAL_OFFSET = 0.75  # metres from the centre of a goal's cell to the mean of the goals that are drawn there, in x and y
+
+
+def map_of(environment: Mapping[str, Any]) -> AntMazeMap | None:
+    """The map of an environment as a data set describes it; None where it is no ant maze of this package.
+
+    Raises:
+        ConfigError: its rows make no maze.
+    """
+    identity = str(environment.get("id")).rpartition(":")[2]
+    if environment.get("name") != "gymnasium" or not identity.startswith("odaf/AntMaze-"):
+        return None
+    maze = (environment.get("kwargs") or {}).get("maze", EVALUATED.get(identity))
+    return None if maze is None else AntMazeMap.of(maze)

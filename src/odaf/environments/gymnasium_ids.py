@@ -6,10 +6,11 @@ id, as `odaf evaluate --env odaf/AntMaze-UMaze-v0`, nothing needs to be imported
 
 import gymnasium
 
+from odaf.environments.ant_maze_map import EVALUATED
+
+_LIMITS = {"umaze": 700}
 _ANT_MAZES = {
-    "odaf/AntMaze-UMaze-v0": ({"maze": "umaze"}, 700),
-    "odaf/AntMaze-Medium-v0": ({"maze": "medium"}, 1000),
-    "odaf/AntMaze-Large-v0": ({"maze": "large"}, 1000),
+    **{identity: ({"maze": name}, _LIMITS.get(name, 1000)) for identity, name in EVALUATED.items()},
     "odaf/AntMaze-v0": ({}, 1000),  # for maps of one's own
 }
 

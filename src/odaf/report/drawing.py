@@ -4,6 +4,7 @@ Nothing here opens a window or touches Matplotlib's global state, and no text is
 functions draw for the page, whose colours follow the reader's light or dark setting, and for picture files.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -18,9 +19,6 @@ from scipy.special import stdtrit
 from odaf.report.layout import Layout
 from odaf.report.lettering import LINE, fitted, spread_out, width_of
 from odaf.report.quantities import Curve, Returns, Trajectories
-
-SUCCESS_RADIUS = 0.45
-"""Distance, in cells, within which an episode has reached the target."""
 
 DASHES: tuple[Any, ...] = ("-", (0, (5, 2)), (0, (1.5, 1.5)), (0, (6, 2, 1.5, 2)))
 """Line styles in the order of the methods, so that colour is never the only difference."""
@@ -83,18 +81,22 @@ def draw_maze(
     """Walls and cell letters, logged paths in thin grey, the best logged path dotted, learned paths on top."""
     for x, y in layout.walls:
         # The edge closes the hairlines that renderers leave between neighbouring squares.
-        square = Rectangle((x - 0.5, y - 0.5), 1, 1, facecolor=palette.wall, edgecolor=palette.wall, linewidth=1.2)
-        axes.add_patch(square)
+        corner = x - 0.5 * layout.cell, y - 0.5 * layout.cell
+        colours = {"facecolor": palette.wall, "edgecolor": palette.wall}
+        axes.add_patch(Rectangle(corner, layout.cell, layout.cell, linewidth=1.2, **colours))
+    left, right, bottom, top = layout.view
+    across, up = 0.44 * layout.cell, math.copysign(0.43 * layout.cell, top - bottom)
     for name, (x, y) in layout.names.items():
         text = axes.text(
-            x - 0.44, y + 0.43, name, color=palette.muted, fontsize=8, fontweight="bold", va="top", ha="left"
+            x - across, y + up, name, color=palette.muted, fontsize=8, fontweight="bold", va="top", ha="left"
         )
         text.set_parse_math(False)
         text.set_zorder(6)
     goal = layout.goal
-    axes.add_patch(
-        Circle(goal, SUCCESS_RADIUS, fill=False, edgecolor=palette.ink, linewidth=0.9, linestyle=(0, (3, 2)))
-    )
+    if goal is not None:
+        axes.add_patch(
+            Circle(goal, layout.reached, fill=False, edgecolor=palette.ink, linewidth=0.9, linestyle=(0, (3, 2)))
+        )
     if logged is not None:
         for line in _joined(logged.positions, groups=8):
             axes.plot(line[:, 0], line[:, 1], color=palette.data, linewidth=0.5, alpha=0.4, solid_joinstyle="round")
@@ -104,8 +106,9 @@ def draw_maze(
         _draw_learned(axes, palette, learned)
     x, y = layout.start
     axes.plot([x], [y], "o", markersize=6, markerfacecolor=palette.surface, markeredgecolor=palette.ink, zorder=7)
-    axes.plot([goal[0]], [goal[1]], "*", markersize=10, color=palette.ink, markeredgecolor=palette.surface, zorder=7)
-    left, right, bottom, top = layout.view
+    if goal is not None:
+        x, y = goal
+        axes.plot([x], [y], "*", markersize=10, color=palette.ink, markeredgecolor=palette.surface, zorder=7)
     axes.set_xlim(left, right)
     axes.set_ylim(bottom, top)
     axes.set_aspect("equal")
@@ -115,10 +118,10 @@ def draw_maze(
 def _draw_learned(axes: Axes, palette: Palette, learned: Trajectories) -> None:
     positions = learned.positions
     kinds = [(np.ones(len(positions), bool), palette.method(0), "-", "o")]
-    if learned.stitched is not None:
-        # Detours first, so that the paths that stitch lie on top where both go.
-        detours = (~learned.stitched, palette.detour, (0, (4, 1.5)), "x")
-        kinds = [detours, (learned.stitched, palette.stitched, "-", "o")]
+    if learned.good is not None:
+        # The others first, so that the good paths lie on top where both go.
+        others = (~learned.good, palette.detour, (0, (4, 1.5)), "x")
+        kinds = [others, (learned.good, palette.stitched, "-", "o")]
     for chosen, colour, style, mark in kinds:
         if not chosen.any():
             continue

@@ -67,8 +67,9 @@ def maze_figure(
         axes.set_anchor("S")  # what is left over of the height is above, where headings are
         entry = score(run, heading)
         under = f"mean return {drawing.plain_number(entry.mean)}" if entry.mean is not None else ""
-        if entry.stitched_rate is not None:
-            under += f"{', ' if under else ''}{100 * entry.stitched_rate:.0f} % stitch"
+        if learned.good is not None:
+            rate = entry.stitched_rate if learned.doing == "stitch" else entry.success_rate
+            under += "" if rate is None else f"{', ' if under else ''}{100 * rate:.0f} % {learned.doing}"
         axes.set_title(heading, fontsize=11, fontweight="bold", color=drawing.LIGHT.ink, parse_math=False)
         axes.text(
             0.5, -0.03, under, transform=axes.transAxes, ha="center", va="top", fontsize=9, color=drawing.LIGHT.muted
@@ -361,7 +362,10 @@ def run_curves(run_directories: Sequence[Path]) -> tuple[list[Curve], list[tuple
 
 
 def _maze_legend(runs: Sequence[RunRecord]) -> str:
-    parts = ["grey: logged episodes", "dotted: the best of them", "green: stitches", "purple, dashed: does not"]
+    from odaf.report import paths
+
+    good = paths.good_key(runs).replace(": at G without the detour", "")
+    parts = ["grey: logged episodes", "dotted: the best of them", f"green: {good}", "purple, dashed: does not"]
     return " · ".join(parts + sorted({run.origin for run in runs if run.origin}))
 
 

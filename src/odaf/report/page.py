@@ -58,6 +58,7 @@ def render(runs: Sequence[RunRecord], title: str | None = None, names: Sequence[
         facts=data_facts(runs[main]),
         gaps=gaps(runs, names),
         mazes=paths.maze_charts(runs, names),
+        good_key=paths.good_key(runs),
         curves=charts.curves_chart(runs, names),
         returns=charts.returns_chart(runs, scores),
         decimals=places,

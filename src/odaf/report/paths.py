@@ -1,17 +1,19 @@
 """Paths through a maze: logged ones, the best logged one, and those of the learned policy."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from odaf.report import drawing
 from odaf.report.chart import NARROW, Chart, chart_svg
-from odaf.report.layout import maze_layout
-from odaf.report.quantities import Trajectories
+from odaf.report.layout import Layout, maze_layout
+from odaf.report.quantities import FLAGS, Trajectories
 from odaf.report.records import RunRecord
 from odaf.report.svg import THEMED
 
 MAX_PATHS = 60
+_KEYS = {"stitch": "stitches: at G without the detour", "reach the goal": "reaches the goal"}
 
 
 def maze_charts(runs: Sequence[RunRecord], labels: Sequence[str]) -> list[Chart]:
@@ -24,24 +26,30 @@ def maze_charts(runs: Sequence[RunRecord], labels: Sequence[str]) -> list[Chart]
         svg = chart_svg(
             f"maze-{index}",
             f"Paths of {label} in the maze {layout.name}",
-            (NARROW, NARROW * (layout.view[3] - layout.view[2]) / (layout.view[1] - layout.view[0])),
+            (NARROW, NARROW * layout.aspect),
             lambda axes, layout=layout, run=run, learned=learned: drawing.draw_maze(
                 axes, THEMED, layout, thinned(learned), logged_paths(run), best_path(run)
             ),
             margins=(0, 0, 0, 0),
         )
-        charts.append(Chart(label, svg, _paths_caption(learned)))
+        charts.append(Chart(label, svg, _paths_caption(learned, layout)))
     return charts
 
 
-def _paths_caption(learned: Trajectories) -> str:
+def good_key(runs: Sequence[RunRecord]) -> str:
+    """What paths in the colour of the good ones do, for a legend."""
+    found = [learned_paths(run) for run in runs if maze_layout(run.environment) is not None]
+    return ", or ".join(dict.fromkeys(_KEYS[paths.doing] for paths in found if paths is not None))
+
+
+def _paths_caption(learned: Trajectories, layout: Layout) -> str:
     count = len(learned.positions)
     shown = f"{count} episodes" if count <= MAX_PATHS else f"{count} episodes, {MAX_PATHS} of them drawn"
-    if learned.stitched is None:
-        return f"{shown}; the environment does not tell which ones stitch."
-    return f"{int(np.sum(learned.stitched))} of {count} stitch" + (
-        "." if count <= MAX_PATHS else f"; {MAX_PATHS} drawn."
-    )
+    goals = " Each has a goal of its own within the ring." if layout.hidden and layout.goal is not None else ""
+    if learned.good is None:
+        return f"{shown}; the environment does not tell which ones {learned.doing}.{goals}"
+    drawn = "" if count <= MAX_PATHS else f"; {MAX_PATHS} drawn"
+    return f"{int(np.sum(learned.good))} of {count} {learned.doing}{drawn}.{goals}"
 
 
 def learned_paths(run: RunRecord) -> Trajectories | None:
@@ -50,12 +58,12 @@ def learned_paths(run: RunRecord) -> Trajectories | None:
     recorded = [arrays for arrays in recorded if _plane(arrays.get("observations"))]
     if not recorded:
         return None
-    flags = [arrays.get("stitched") for arrays in recorded]
-    known = [np.asarray(flag, bool) for flag in flags if flag is not None]
-    return Trajectories(
-        stacked([arrays["observations"][:, :, :2] for arrays in recorded]),
-        np.concatenate(known) if len(known) == len(recorded) else None,
-    )
+    positions = stacked([arrays["observations"][:, :, :2] for arrays in recorded])
+    for flag, doing in FLAGS.items():
+        if all(flag in arrays for arrays in recorded):
+            good = np.concatenate([np.asarray(arrays[flag], bool) for arrays in recorded])
+            return Trajectories(positions, good, doing)
+    return Trajectories(positions)
 
 
 def logged_paths(run: RunRecord) -> Trajectories | None:
@@ -89,4 +97,4 @@ def thinned(paths: Trajectories) -> Trajectories:
     if len(paths.positions) <= MAX_PATHS:
         return paths
     chosen = np.unique(np.linspace(0, len(paths.positions) - 1, MAX_PATHS).astype(int))
-    return Trajectories(paths.positions[chosen], None if paths.stitched is None else paths.stitched[chosen])
+    return replace(paths, positions=paths.positions[chosen], good=None if paths.good is None else paths.good[chosen])

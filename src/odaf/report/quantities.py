@@ -4,6 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+FLAGS = {"stitched": "stitch", "success": "reach the goal"}
+"""What an environment may report of an episode, the more telling first, and what those do of which it is true."""
+
 
 @dataclass(frozen=True)
 class Curve:
@@ -41,8 +44,10 @@ class Trajectories:
 
     Attributes:
         positions: [episodes, time, 2], NaN after an episode's end.
-        stitched: [episodes] bool, or `None` where the environment does not tell.
+        good: [episodes] bool, whether an episode does what counts, or `None` where the environment does not tell.
+        doing: what that is, of several episodes: they "stitch", or they "reach the goal".
     """
 
     positions: np.ndarray
-    stitched: np.ndarray | None = None
+    good: np.ndarray | None = None
+    doing: str = "stitch"

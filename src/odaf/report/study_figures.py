@@ -204,12 +204,55 @@ def clouds_figure(panels: Mapping[str, Cloud], out: Path, title: str, note: str,
 
 
 @dataclass(frozen=True)
+class Ground:
+    """How many rows of a log are in each square of a maze: its corner, their width, and counts [across][along y]."""
+
+    layout: "Layout"
+    low: tuple[float, float]
+    width: float
+    counts: Sequence[Sequence[int]]
+
+
+def grounds_figure(panels: Mapping[str, Ground], out: Path, title: str, note: str, columns: int = 2) -> Path:
+    """Writes a PNG of mazes with the rows of logs in them as a grey density, a panel each.
+
+    Args:
+        panels: by heading.
+        out: the file to write; its folder is made when missing.
+        title: written above.
+        note: written below in small print.
+        columns: panels side by side.
+
+    Returns:
+        `out`.
+
+    Raises:
+        ConfigError: the `report` extra is not installed.
+    """
+    check_extra()
+    from odaf.report import drawing
+    from odaf.report.figures import write_figure
+    from odaf.report.lettering import fitted
+
+    figure, every = _grid(len(panels), columns, (3.3, 2.7))
+    for axes, (heading, ground) in zip(every, panels.items(), strict=False):
+        density = np.log1p(np.array(ground.counts, float)).T
+        (left, low), (down, across) = ground.low, np.multiply(density.shape, ground.width)
+        extent = (left, left + across, low, low + down)
+        axes.imshow(density, origin="lower", extent=extent, cmap="Blues", interpolation="nearest", zorder=0.5)
+        drawing.draw_maze(axes, drawing.LIGHT, ground.layout, None, None)
+        axes.set_title(fitted(heading, 72 * 3.0, 9), fontsize=9, color=drawing.LIGHT.ink, parse_math=False)
+    _words(figure, title, note)
+    return write_figure(figure, out)
+
+
+@dataclass(frozen=True)
 class Paths:
-    """Paths of a policy in a maze, over logged ones, and what is said of them."""
+    """Paths of a policy in a maze, perhaps over logged ones, and what is said of them."""
 
     layout: "Layout"
     learned: "Trajectories"
-    logged: "Trajectories"
+    logged: "Trajectories | None"
     said: str
 
 

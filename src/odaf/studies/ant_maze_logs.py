@@ -45,6 +45,11 @@ class AntMazeLog(Log):
             "walker_sha256": walker_print(),
         }
 
+    @property
+    def command(self) -> str:
+        """What records the same set again."""
+        return f"odaf data generate {self.set_name} --transitions {self.transitions} --seed {self.seed} --out FILE"
+
     def make(self, path: Path) -> None:
         from odaf.environments.ant_maze_data import generate
 
@@ -55,8 +60,7 @@ class AntMazeLog(Log):
         make them again."""
         logged = run.data["summary"]["provenance"]["statistics"]
         names = ("transitions", "whole_walks", "reached_share", "flipped_share", "goal_walks")
-        command = f"odaf data generate {self.set_name} --transitions {self.transitions} --seed {self.seed} --out FILE"
-        return {"same_set": command, **{name: logged.get(name) for name in names}}
+        return {"same_set": self.command, **{name: logged.get(name) for name in names}}
 
 
 @cache

@@ -1,4 +1,4 @@
-"""The generators' study: is every locomotion set that we can record what its name says?
+"""The generators' study: is every locomotion and ant-maze set that we can record what its name says?
 
 A set is recorded again once the policies that play in it are others; sets without a policy are listed as such.
 """
@@ -9,6 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from odaf.studies import ant_maze_recordings
+from odaf.studies.ant_maze_logs import walker_print
+from odaf.studies.ant_maze_recordings import AntMazeRecording
 from odaf.studies.job import DataEntries, Job, Phase, Record, Study, Work
 from odaf.studies.logs import LOCAL, command_for, edition_of, policies_print
 
@@ -92,14 +95,17 @@ class Recording(Work):
 
 
 def plan() -> list[Phase]:
-    """A phase for each robot, with the sets that have their policies."""
+    """A phase for each robot, with the sets that have their policies, and one for the ants in mazes."""
+    from odaf.environments.ant_maze_data import NAMES as MAZES
     from odaf.environments.locomotion_data import NAMES, split_name
 
     phases: dict[str, list[Job]] = {}
     for name in NAMES:
         if policies_print(name) is not None:
             phases.setdefault(split_name(name)[0].name, []).append(Job(name, Recording(name)))
-    return [Phase(f"the sets of {task}", tuple(jobs)) for task, jobs in phases.items()]
+    robots = [Phase(f"the sets of {task}", tuple(jobs)) for task, jobs in phases.items()]
+    mazes = tuple(Job(name, AntMazeRecording(name)) for name in MAZES) if walker_print() is not None else ()
+    return [*robots, *([Phase("the sets of ants in mazes", mazes)] if mazes else [])]
 
 
 def table(records: Sequence[Record]) -> str:
@@ -133,6 +139,7 @@ def table(records: Sequence[Record]) -> str:
         lines += ["", "Not accepted, check by check:", ""]
         for name in missing:
             lines += [f"- `{name}`: {finding['message']}" for finding in by_name[name]["findings"]]
+    lines += ant_maze_recordings.table(records)
     return "\n".join(lines) + "\n"
 
 
@@ -162,7 +169,8 @@ def _row(name: str, part: str, figures: Mapping[str, Any], record: Mapping[str, 
 
 STUDY = Study(
     "generators",
-    "every locomotion set we can record, beside the published set of its name",
+    "every locomotion set we can record, beside the published set of its name, and the ant mazes",
     plan,
     {"table.md": table},
+    {"coverage.png": ant_maze_recordings.figure},
 )

@@ -13,6 +13,7 @@ from odaf.studies.logs import LOCAL, MazeLog
 from odaf.studies.pointmaze_methods import BASE, EPISODES, LOG_SEED, MAZES, MBRCSL, STEPS_OF, TRIED, TRIES, Winners
 from odaf.studies.pointmaze_search import earned, said
 from odaf.studies.tables import grouped, interval
+from odaf.studies.training import kept_paths
 
 if TYPE_CHECKING:
     from odaf.report.study_figures import Paths
@@ -138,7 +139,7 @@ def figure(records: Sequence[Record], out: Path) -> None:
     """The paths of every method's first seed, a row for each method and a column for each maze, drawn to `out`."""
     from odaf.report.study_figures import paths_figure
 
-    own = [one for one in of_table(records) if one.get("paths")]
+    own = [one for one in of_table(records) if one.get("paths", {}).get("places")]
     if not own:
         return
     mazes = [maze for maze in MAZES if any(one["map"] == maze for one in own)]
@@ -154,15 +155,10 @@ def figure(records: Sequence[Record], out: Path) -> None:
 
 
 def _paths(record: Record) -> "Paths":
-    from odaf.report.paths import stacked
-    from odaf.report.quantities import Trajectories
     from odaf.report.study_figures import Paths
 
-    texts, flags = record["paths"]["places"], record["paths"]["stitched"]
-    places = [np.array([[step.split(",") for step in text.split()]], float) for text in texts]
     layout, logged = _background(record["map"])
-    learned = Trajectories(stacked(places), None if flags is None else np.array(flags, bool))
-    return Paths(layout, learned, logged, f"{earned(record):.0f}")
+    return Paths(layout, kept_paths(record), logged, f"{earned(record):.0f}")
 
 
 @functools.cache

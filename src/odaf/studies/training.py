@@ -14,9 +14,11 @@ from odaf.studies.task import Task
 
 if TYPE_CHECKING:
     from odaf.evaluation.runs import Run
+    from odaf.report.quantities import Trajectories
     from odaf.training.progress import ProgressReport
 
 
+MOST_PLACES = 100  # of an episode's path in a record
 UPDATES_PER_SECOND: dict[str, float] = {
     **{"behaviour-cloning": 250.0, "behaviour-cloning-best": 300.0, "td3-bc": 140.0, "iql": 120.0, "svr": 150.0},
     **{"rebrac-return": 80.0, "rebrac": 25.0, "odaf-light": 70.0, "odaf-light-without-outcome": 80.0},
@@ -281,17 +283,39 @@ def _evaluation(line: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _paths(run: "Run", seed: int, count: int) -> dict[str, Any]:
-    """Of so many episodes of the last evaluation every fourth place, and whether they stitch: one text an episode, so
-    that a record stays short."""
+    """Of so many episodes of the last evaluation every fourth place, or a hundred, and whether they did what counts:
+    one text an episode, so that a record stays short."""
+    from odaf.report.quantities import FLAGS
+
     recorded = run.files.episodes(seed)
     if recorded is None:
-        return {"places": [], "stitched": []}
+        return {"places": []}
     _, arrays = recorded
-    places = arrays["observations"][:count, ::4, :2].round(2)
+    observations = arrays["observations"]
+    every = max(4, observations.shape[1] // MOST_PLACES)
+    whole = observations[:count, :, :2].round(2).tolist()
+    places = [[place for place in path if place[0] == place[0]] for path in whole]  # NaN stands after an episode's end
+    kept = [[*path[:-1:every], path[-1]] for path in places]
+    flag = next((name for name in FLAGS if name in arrays), None)
     return {
-        "places": [" ".join(f"{x:g},{y:g}" for x, y in path if x == x) for path in places.tolist()],
-        "stitched": [bool(flag) for flag in arrays["stitched"][:count]] if "stitched" in arrays else None,
+        "places": [" ".join(f"{x:g},{y:g}" for x, y in path) for path in kept],
+        **({} if flag is None else {flag: [bool(value) for value in arrays[flag][:count]]}),
     }
+
+
+def kept_paths(record: Mapping[str, Any]) -> "Trajectories":
+    """The paths that a record keeps."""
+    import numpy as np
+
+    from odaf.report.paths import stacked
+    from odaf.report.quantities import FLAGS, Trajectories
+
+    kept = record["paths"]
+    places = [np.array([[step.split(",") for step in text.split()]], float) for text in kept["places"]]
+    for flag, doing in FLAGS.items():
+        if kept.get(flag) is not None:
+            return Trajectories(stacked(places), np.array(kept[flag], bool), doing)
+    return Trajectories(stacked(places))
 
 
 def phases_of(*parts: tuple[str, list[Training]]) -> list[Phase]:

@@ -31,6 +31,7 @@ def render(dataset: Dataset, title: str) -> str:
         returns=pictures.returns_chart(dataset),
         lengths=pictures.lengths_chart(dataset),
         coverage=pictures.coverage_chart(dataset),
+        maze=pictures.maze_chart(dataset),
         actions=pictures.action_charts(dataset),
         most_actions=pictures.MOST_ACTIONS,
         sha256=dataset.fingerprint(),

@@ -6,7 +6,10 @@ from matplotlib.axes import Axes
 from odaf.data import Dataset
 from odaf.report.chart import NARROW, WIDE, Chart, chart_svg
 from odaf.report.data_page.coverage import Coverage, coverage
-from odaf.report.drawing import Palette, plain_number, short_count, short_values, style_axes
+from odaf.report.drawing import Palette, draw_maze, plain_number, short_count, short_values, style_axes
+from odaf.report.layout import maze_layout
+from odaf.report.paths import MAX_PATHS, stacked
+from odaf.report.quantities import Trajectories
 from odaf.report.svg import THEMED
 
 BINS = 40
@@ -58,6 +61,22 @@ def coverage_chart(dataset: Dataset) -> Chart | None:
         f"Principal components of the normalised observations: {'; '.join(axes)}. Dark: rows of the best tenth of the "
         "episodes by return. A policy can be trusted where there are dots, and not far from them.",
     )  # fmt: skip
+
+
+def maze_chart(dataset: Dataset) -> Chart | None:
+    """Some logged paths in the maze that the data are of; None where they are of none that can be drawn."""
+    layout = maze_layout(dataset.environment)
+    if layout is None or dataset.obs_dim < 2:
+        return None
+    chosen = np.unique(np.linspace(0, dataset.num_episodes - 1, MAX_PATHS).astype(int)).tolist()
+    paths = [dataset.observations[dataset.episode(index), :2][None] for index in chosen]
+    svg = chart_svg(
+        "maze", f"Logged paths in the maze {layout.name}", (NARROW, NARROW * layout.aspect),
+        lambda axes: draw_maze(axes, THEMED, layout, None, Trajectories(stacked(paths))), (0, 0, 0, 0),
+    )  # fmt: skip
+    every = len(chosen) == dataset.num_episodes
+    shown = "All episodes" if every else f"{len(chosen)} of {dataset.num_episodes:,} episodes"
+    return Chart("Paths", svg, f"{shown}, in the plane of the first two observations. ○ start, ★ goal.")
 
 
 def action_charts(dataset: Dataset) -> list[Chart]:
