@@ -109,7 +109,7 @@ def test_the_default_is_stabilised_and_carries_the_term():
 
 
 @pytest.mark.parametrize(
-    "name", ["odaf", "odaf-demo", "odaf-locomotion", "odaf-paper", "odaf-pessimistic", "odaf-rorl"]
+    "name", ["odaf", "odaf-antmaze", "odaf-demo", "odaf-locomotion", "odaf-paper", "odaf-pessimistic", "odaf-rorl"]
 )
 def test_without_outcome_differs_by_that_term_and_nothing_else(name):
     whole, base = config.to_dict(presets.load(name)), config.to_dict(presets.load(f"{name}-without-outcome"))

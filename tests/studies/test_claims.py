@@ -7,7 +7,17 @@ from typing import Any
 import pytest
 
 from odaf.cli.dispatch import main
-from odaf.studies import ablation, attacks_table, claims, knocks_table, mixtures, mujoco, sweeps, validation_table
+from odaf.studies import (
+    ablation,
+    antmaze,
+    attacks_table,
+    claims,
+    knocks_table,
+    mixtures,
+    mujoco,
+    sweeps,
+    validation_table,
+)
 from odaf.studies.final_scores import finals_of, mean_over_tasks
 from odaf.studies.ledger import Ledger
 from odaf.studies.page import blocks, build
@@ -242,7 +252,7 @@ def test_the_claims_are_those_that_the_ledgers_bear_out() -> None:
     assert {"mujoco", "mixtures", "stitching", "attacks", "validation"} < set(found)
     assert {"ablation", "knocks", "theory", "antmaze", "cost"} < set(found) and len(found) == 10
     assert {each.verdict for each in found.values()} <= {"held", "not held", "not decided"}
-    assert found["antmaze"].verdict == "not decided" and len(found["antmaze"].reasons) == len(claims.ANT_RIVALS)
+    assert found["antmaze"].verdict == "not decided" and len(found["antmaze"].reasons) == len(antmaze.RIVALS)
     assert found["stitching"].reasons[0].startswith("odaf-paper over the best logged return in the stitching maze")
     assert written["stitching"]["ours"]["verdict"] == "held"
     theory = found["theory"]
@@ -260,7 +270,7 @@ def test_the_ant_mazes_are_won_set_by_set_against_every_rival() -> None:
 
     tasks = [f"set-{number}" for number in range(6)]
     ours = [one("odaf-paper", task, seed, 80.0 + place) for place, task in enumerate(tasks) for seed in (0, 1)]
-    rivals = [one(name, task, 0, 60.0 - place) for name in claims.ANT_RIVALS for place, task in enumerate(tasks)]
+    rivals = [one(name, task, 0, 60.0 - place) for name in antmaze.RIVALS for place, task in enumerate(tasks)]
     assert claims.ant_mazes(ours + rivals).verdict == "held"
     better = [{**each, "final": {"normalised_score": 99.0}} if each["method"] == "iql" else each for each in rivals]
     assert claims.ant_mazes(ours + better).verdict == "not held"

@@ -82,8 +82,9 @@ def draw_maze(
     for x, y in layout.walls:
         # The edge closes the hairlines that renderers leave between neighbouring squares.
         corner = x - 0.5 * layout.cell, y - 0.5 * layout.cell
-        colours = {"facecolor": palette.wall, "edgecolor": palette.wall}
-        axes.add_patch(Rectangle(corner, layout.cell, layout.cell, linewidth=1.2, **colours))
+        square = Rectangle(corner, layout.cell, layout.cell, facecolor=palette.wall, linewidth=1.2)
+        square.set_edgecolor(palette.wall)
+        axes.add_patch(square)
     left, right, bottom, top = layout.view
     across, up = 0.44 * layout.cell, math.copysign(0.43 * layout.cell, top - bottom)
     for name, (x, y) in layout.names.items():

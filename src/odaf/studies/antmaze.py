@@ -6,6 +6,7 @@ does. Policies are scored by the share of 100 episodes that reach the goal.
 
 import json
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 from odaf.studies.ant_maze_logs import AntMazeLog
@@ -13,7 +14,7 @@ from odaf.studies.job import Phase, Record, Study
 from odaf.studies.logs import LOCAL
 from odaf.studies.tables import grouped
 from odaf.studies.task import Evaluation, Task
-from odaf.studies.training import Training, phases_of
+from odaf.studies.training import Training, kept_paths, phases_of
 
 STEPS = 300_000
 EVALUATION = Evaluation(every=50_000, episodes=20, final_episodes=100)
@@ -21,12 +22,24 @@ SMALL, OTHERS = (
     ("antmaze-umaze", "antmaze-medium-play"),
     ("antmaze-umaze-diverse", "antmaze-medium-diverse", "antmaze-large-play", "antmaze-large-diverse"),
 )
-FIRST = ("iql", "rebrac")
+PRINTED, OURS = "odaf-paper", "odaf-antmaze"
+FIRST = ("iql", "rebrac", OURS)
 # Cheap ones first.
-LATER = ("td3-bc", "spot", "scas", "atac", "cql", "sdc", "osr-10", "odaf-paper")
+LATER = ("td3-bc", "spot", "scas", "atac", "cql", "sdc", "osr-10", PRINTED)
 METHODS = FIRST + LATER
+RIVALS = tuple(method for method in METHODS if method not in (PRINTED, OURS))
+# What carries our recipe: each time one part is taken away, or put back to what the base has.
+WITHOUT: tuple[tuple[str, tuple[tuple[str, Any], ...]], ...] = (
+    (f"{OURS}-without-outcome", ()),
+    (OURS, (("behaviour.weight", 0.0),)),
+    (OURS, (("return_steps", 1),)),
+    (OURS, (("warm_start", "none"), ("target_entropy", -8.0))),
+    (OURS, (("num_critics", 10),)),
+    (OURS, (("observation_scaling", "none"),)),
+)
 SEEDS = 2
 LATER_SEEDS = 4
+PATHS = 10  # episodes whose paths a record keeps
 
 
 def task_of(name: str) -> Task:
@@ -35,19 +48,22 @@ def task_of(name: str) -> Task:
 
 
 def plan() -> list[Phase]:
-    """Two tasks with the two methods that are best there by what is published; the other methods; then the rest."""
+    """Two tasks with the two methods that are best there by what is published and our recipe; what carries the recipe;
+    the other methods; then the rest."""
 
-    def trainings(names: Sequence[str], methods: Sequence[str], seeds: range) -> list[Training]:
+    def trainings(names: Sequence[str], methods: Sequence[str | tuple[str, Any]], seeds: range) -> list[Training]:
+        forms = [(method, ()) if isinstance(method, str) else method for method in methods]
         return [
-            Training(method, task_of(name), seed, STEPS, checkpoint_every=25_000)
+            Training(method, task_of(name), seed, STEPS, changes, checkpoint_every=25_000, paths=PATHS)
             for seed in seeds
             for name in names
-            for method in methods
+            for method, changes in forms
         ]
 
     first, rest = range(SEEDS), range(SEEDS, LATER_SEEDS)
     return phases_of(
-        ("the small maze and medium-play, two seeds: IQL and ReBRAC", trainings(SMALL, FIRST, first)),
+        ("the small maze and medium-play, two seeds: IQL, ReBRAC and our recipe", trainings(SMALL, FIRST, first)),
+        ("the same two, two seeds: what carries our recipe", trainings(SMALL, WITHOUT, first)),
         ("the same two, two seeds: every other method", trainings(SMALL, LATER, first)),
         ("the other four, two seeds: every method", trainings(OTHERS, METHODS, first)),
         ("all six, two further seeds: every method", trainings(SMALL + OTHERS, METHODS, rest)),
@@ -117,9 +133,32 @@ def summary(records: Sequence[Record]) -> str:
     return json.dumps(tasks, indent=1) + "\n"
 
 
+def figure(records: Sequence[Record], out: Path) -> None:
+    """The paths of every method's first seed, a row for each method and a column for each set, drawn to `out`."""
+    from odaf.report.layout import maze_layout
+    from odaf.report.study_figures import Paths, paths_figure
+
+    drawn = [one for one in records if one.get("paths", {}).get("places")]
+    if not drawn:
+        return
+    sets = [name for name in SMALL + OTHERS if any(one["task"] == name for one in drawn)]
+    rows: dict[str, list[Paths | None]] = {}
+    for method, runs in grouped(drawn, lambda record: record["method"]).items():
+        first = {one["task"]: one for one in sorted(runs, key=lambda one: -one["seed"])}
+        rows[method] = [None] * len(sets)
+        for place, name in enumerate(sets):
+            layout = maze_layout({"name": "gymnasium", "id": first[name]["environment"]}) if name in first else None
+            if layout is not None:
+                said = f"{first[name]['final']['normalised_score']:.0f} %"
+                rows[method][place] = Paths(layout, kept_paths(first[name]), None, said)
+    note = f"{LOCAL}; the last checkpoint of one seed, dashed where an episode does not reach its goal within the ring"
+    paths_figure(rows, sets, out, "Paths of every method", note)
+
+
 STUDY = Study(
     "antmaze",
     "every method on the six sets of ants in mazes",
     plan,
     {"table.md": table, "summary.json": summary},
+    {"paths.png": figure},
 )
