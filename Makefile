@@ -5,13 +5,17 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
-# Two workers, each on its own share of the cores (tests/conftest.py), and no thread pools beside XLA's.
+# Two workers, each on its own share of the cores (tests/conftest.py), and no thread pools beside XLA's. Neighbours in
+# a file stay with one worker, which has compiled their programs.
 WORKERS ?= 2
+PYTEST := $(BIN)/pytest -n $(WORKERS) --dist worksteal
 export OMP_NUM_THREADS ?= 1
+# Tests start many processes, and each would compile the package's modules again.
+unexport PYTHONDONTWRITEBYTECODE
 
 WHEEL := dist/.tried
 
-.PHONY: help demo test test-all lint wheel checks format refusals drawn bench docs clean
+.PHONY: help demo test test-all quick-tests all-tests lint wheel format refusals drawn bench docs clean
 .DEFAULT_GOAL := help
 
 help: ## Say what each target does
@@ -41,15 +45,23 @@ $(WHEEL): $(STAMP) tools/wheel.py README.md LICENSE $(shell find src/odaf -type 
 	$(BIN)/python -m tools.wheel dist
 	@touch $@
 
-# Side by side: none of them needs both cores.
-checks: $(STAMP)
-	@$(MAKE) --no-print-directory -j2 wheel lint docs
+# The checks run one after another beside the tests, in what these leave of the cores. What a check says is shown in one
+# piece when it ends, and what the tests say at once: they write past make, to the output as it was before.
+BESIDE := $(MAKE) --no-print-directory -j2 --keep-going $(if $(filter output-sync,$(.FEATURES)),--output-sync=target)
+CHECKS := wheel lint docs
+OUTPUT ?= 1
 
-test: checks ## Check style, types, wheel, documentation, import direction and behaviour
-	$(BIN)/pytest -n $(WORKERS) -m "not slow"
+test: $(STAMP) ## Check style, types, wheel, documentation, import direction and behaviour
+	@exec 9>&1; $(BESIDE) quick-tests $(CHECKS) OUTPUT=9
 
-test-all: checks ## The same, with the slow tests
-	$(BIN)/pytest -n $(WORKERS)
+test-all: $(STAMP) ## The same, with the slow tests
+	@exec 9>&1; $(BESIDE) all-tests $(CHECKS) OUTPUT=9
+
+quick-tests: $(STAMP)
+	$(PYTEST) -m "not slow" >&$(OUTPUT)
+
+all-tests: $(STAMP)
+	$(PYTEST) >&$(OUTPUT)
 
 format: $(STAMP) ## Rewrite files in the house style
 	$(BIN)/ruff check --fix .

@@ -1,6 +1,7 @@
 """Settings that hold for every test: run-time type checks, strict JAX, reproducible examples, one core a worker."""
 
 import functools
+import gc
 import itertools
 import os
 import signal
@@ -32,12 +33,14 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # Tests run small programs a few times, so that the compiler's optimisations cost more than they bring; the emitters of
-# fused operations alone are two thirds of what is left. Processes that a test starts inherit this; the wheel's test
-# trains as users do.
+# fused operations alone are two thirds of what is left. To cut a program into parts that cores compile side by side is
+# work for nothing where a worker has one core. Processes that a test starts inherit this; the wheel's test trains as
+# users do.
 _COMPILE_FAST = (
     "--xla_backend_optimization_level=0",
     "--xla_llvm_disable_expensive_passes=true",
     "--xla_cpu_use_fusion_emitters=false",
+    "--xla_cpu_parallel_codegen_split_count=1",
 )
 os.environ.setdefault("XLA_FLAGS", " ".join(_COMPILE_FAST))
 
@@ -54,6 +57,9 @@ jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 # Nobody reads in a test which line of Python an operation of a compiled program stems from; to gather that is slow.
 jax.config.update("jax_traceback_in_locations_limit", 0)
+
+# Tracing and lowering make many objects that live for a moment, through which Python's collector would go too often.
+gc.set_threshold(50_000)
 
 # Compiled programs are kept between runs, which saves most of a second run's time. A size limit makes JAX lock the
 # folder, so that workers may share it. Processes that a test starts (and may kill) compile for themselves.

@@ -49,6 +49,7 @@ def _preset(name: str, **changes):
     return config.replace(learner, {**tiny.SMALL, **small, **changes})
 
 
+@functools.cache  # several terms have one base
 def _trained(learner, updates: int = 3):
     """State and metrics after some compiled updates."""
 
