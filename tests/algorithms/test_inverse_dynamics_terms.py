@@ -137,7 +137,7 @@ def test_pretraining_fits_the_model_that_the_term_will_use():
     sides, report = learner.pretrain(
         dataset, Normaliser.fit(dataset.observations), jr.key(0), lambda *call: calls.append(call)
     )
-    blank = learner.untrained(jr.key(1), dataset.spec())
+    blank = jax.eval_shape(lambda: learner.untrained(jr.key(1), dataset.spec()))
     assert jax.tree.structure(sides) == jax.tree.structure(blank)
     assert calls == 2 * [("inverse-dynamics model", 3, 3)]
     for name in ("inverse_dynamics", "inverse_dynamics_values"):

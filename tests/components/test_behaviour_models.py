@@ -33,12 +33,18 @@ def test_misfit_and_loss_are_means_of_both_parts_and_gradients_reach_the_action_
         model, batch = _model(), tiny.batch()
         noise = model.draw_noise(jr.key(1), tiny.ROWS)
         states, actions = batch.observations, batch.actions
+
+        @jax.jit
+        def everything(model, actions):
+            misfit = model.misfit(states, actions, noise)
+            loss, gradient = jax.value_and_grad(lambda m: m.loss(states, actions, noise))(model)
+            return misfit, loss, gradient, jax.grad(lambda a: model.loss(states, a, noise))(actions)
+
+        misfit, loss, gradient, by_action = everything(model, actions)
         expected = behaviour.misfit(model, states, actions, noise)
-        np.testing.assert_allclose(model.misfit(states, actions, noise), expected, rtol=1e-9)
-        loss, gradient = jax.value_and_grad(lambda m: m.loss(states, actions, noise))(model)
+        np.testing.assert_allclose(misfit, expected, rtol=1e-9)
         np.testing.assert_allclose(loss, expected.mean(), rtol=1e-9)
         tiny.assert_slopes(gradient, lambda m: behaviour.misfit(m, states, actions, noise).mean(), model)
-        by_action = jax.grad(lambda a: model.loss(states, a, noise))(actions)
         tiny.assert_slopes(by_action, lambda a: behaviour.misfit(model, states, a, noise).mean(), actions)
 
 

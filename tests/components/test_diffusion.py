@@ -1,5 +1,6 @@
 """Denoising of actions against its formulas in float64 NumPy, by Bayes' rule; and two modes are learnt as two."""
 
+import jax
 import jax.numpy as jnp
 import jax.random as jr
 import numpy as np
@@ -19,7 +20,8 @@ STEPS = 4
 
 
 def _model() -> ActionDiffusion:
-    return tiny.filled(init_action_diffusion(jr.key(0), tiny.OBS_DIM, tiny.ACT_DIM, (5, 4), STEPS), 1)
+    sizes = tiny.OBS_DIM, tiny.ACT_DIM, (5, 4), STEPS
+    return tiny.filled(jax.eval_shape(lambda: init_action_diffusion(jr.key(0), *sizes)), 1)
 
 
 def _kept(steps: int) -> np.ndarray:
@@ -52,7 +54,9 @@ def test_the_loss_is_the_squared_error_of_the_noise():
         model, batch = _model(), tiny.batch()
         step = np.array([0, 1, 2, 3, 3, 0])
         noise = np.random.default_rng(4).normal(size=(tiny.ROWS, tiny.ACT_DIM))
-        found = model.misfit(batch.observations, batch.actions, jnp.asarray(step), tiny.floats(noise))
+        found = jax.jit(lambda *given: model.misfit(*given))(
+            batch.observations, batch.actions, jnp.asarray(step), tiny.floats(noise)
+        )
         for row in range(tiny.ROWS):
             kept = _kept(STEPS)[step[row]]
             noised = np.sqrt(kept) * networks.numbers(batch.actions)[row] + np.sqrt(1 - kept) * noise[row]
@@ -65,7 +69,7 @@ def test_sampling_draws_from_the_posterior_of_each_step():
     with tiny.exactly():
         model, observations = _model(), tiny.batch().observations
         noise = np.random.default_rng(5).normal(size=(STEPS, tiny.ROWS, tiny.ACT_DIM))
-        found = model.sample(observations, tiny.floats(noise))
+        found = jax.jit(lambda *given: model.sample(*given))(observations, tiny.floats(noise))
         kept, seen, clipped = _kept(STEPS), networks.numbers(observations), 0
         beta = 1.0 - kept / np.append(1.0, kept[:-1])
         action = noise[0]

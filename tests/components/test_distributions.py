@@ -81,7 +81,9 @@ def test_the_exact_density_of_a_draw_has_no_floor():
 
 def test_the_narrow_actor_keeps_its_deviation_between_a_hundredth_and_one_and_never_loses_the_slope():
     with tiny.exactly():
-        network = tiny.filled(init_gaussian_actor(jr.key(0), tiny.OBS_DIM, tiny.ACT_DIM, (4,)).network, 3)
+        network = tiny.filled(
+            jax.eval_shape(lambda: init_gaussian_actor(jr.key(0), tiny.OBS_DIM, tiny.ACT_DIM, (4,)).network), 3
+        )
         rows = tiny.batch().observations
         output = networks.mlp(network, rows)
         mean, log_std = NarrowGaussianActor(network).parameters(rows)

@@ -75,7 +75,7 @@ def test_a_linear_system_is_learnt_far_better_than_no_change(name):
     assert calls[-1] == (600, 600)
 
     # checkpoints are read back into the structure of an untrained model
-    blank = untrained(config, jr.key(0), tiny.OBS_DIM, tiny.ACT_DIM)
+    blank = jax.eval_shape(lambda: untrained(config, jr.key(0), tiny.OBS_DIM, tiny.ACT_DIM))
     assert jax.tree.structure(blank) == jax.tree.structure(model)
     assert [leaf.shape for leaf in jax.tree.leaves(blank)] == [leaf.shape for leaf in jax.tree.leaves(model)]
 

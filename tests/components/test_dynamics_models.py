@@ -67,7 +67,7 @@ def test_training_losses_and_their_gradients_follow_the_formula(fields):
 
         with tiny.recorded() as drawn:
             found = model.loss(*columns, jr.key(2))
-        gradient = jax.grad(lambda m: m.loss(*columns, jr.key(2)))(model)
+        gradient = jax.jit(jax.grad(lambda m: m.loss(*columns, jr.key(2))))(model)
         losses = {
             "deterministic": lambda m: dynamics.deterministic_loss(m, *columns),
             "cvae": lambda m: dynamics.cvae_loss(m, *columns, drawn[0]),

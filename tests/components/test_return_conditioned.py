@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import jax
 import jax.numpy as jnp
 import jax.random as jr
 import numpy as np
@@ -16,7 +17,7 @@ from odaf.training.policy import Policy
 
 
 def _actor() -> ReturnConditionedActor:
-    network = tiny.filled(init_mlp(jr.key(0), (tiny.OBS_DIM + 1, 5, tiny.ACT_DIM)), 1, 1.0)
+    network = tiny.filled(jax.eval_shape(lambda: init_mlp(jr.key(0), (tiny.OBS_DIM + 1, 5, tiny.ACT_DIM))), 1, 1.0)
     return ReturnConditionedActor(network, tiny.floats(10.0), tiny.floats(8.0), tiny.floats(4.0))
 
 

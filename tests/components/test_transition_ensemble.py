@@ -149,7 +149,7 @@ def test_a_noisy_linear_system_is_learnt_and_the_spread_covers_what_comes():
     assert report["reward_mse"] < 0.1 * report["mean_reward_mse"]
     assert 0.35 < report["coverage_50"] < 0.65 and 0.8 < report["coverage_90"] < 0.97
     assert len(report["coverage_90_by_dimension"]) == tiny.OBS_DIM + 1
-    blank = SMALL.untrained(jr.key(0), tiny.OBS_DIM, tiny.ACT_DIM)
+    blank = jax.eval_shape(lambda: SMALL.untrained(jr.key(0), tiny.OBS_DIM, tiny.ACT_DIM))
     assert jax.tree.structure(blank) == jax.tree.structure(model)
     assert [leaf.shape for leaf in jax.tree.leaves(blank)] == [leaf.shape for leaf in jax.tree.leaves(model)]
 

@@ -30,7 +30,7 @@ def policy_of(kind: str, obs_dim: int = 4, derivation: Derivation | None = None,
         obs_dim = len(derivation.names)
     spec = Spec(obs_dim, len(LOW), LOW, HIGH, -1.0, 1.0, True, 20)
     rng = np.random.default_rng(seed)
-    actor = learner.actor(learner.init(jr.key(0), spec, learner.untrained(jr.key(0), spec)))
+    actor = jax.eval_shape(lambda key: learner.actor(learner.init(key, spec, learner.untrained(key, spec))), jr.key(0))
     actor = jax.tree.map(lambda leaf: jnp.asarray(rng.normal(size=leaf.shape), leaf.dtype), actor)
     names = derivation.names if derivation is not None else tuple(f"x{index}" for index in range(obs_dim))
     normaliser = Normaliser(rng.normal(size=obs_dim), rng.uniform(0.5, 2.0, obs_dim), constant=(1,))
@@ -41,7 +41,7 @@ def asking(derivation: Derivation | None = None) -> Policy:
     """A policy that is asked for a return of 30."""
     base = policy_of("behaviour-cloning", derivation=derivation)
     rng = np.random.default_rng(1)
-    network = init_mlp(jr.key(0), (base.obs_dim + 1, 8, base.act_dim))
+    network = jax.eval_shape(lambda: init_mlp(jr.key(0), (base.obs_dim + 1, 8, base.act_dim)))
     network = jax.tree.map(lambda leaf: jnp.asarray(rng.normal(size=leaf.shape), leaf.dtype), network)
     numbers = (jnp.asarray(number) for number in (30.0, 20.0, 10.0))
     return replace(base, actor=ReturnConditionedActor(network, *numbers))

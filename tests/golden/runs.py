@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import jax
 import jax.random as jr
 import numpy as np
 
@@ -40,9 +41,10 @@ def untrained_run(
     normaliser = Normaliser.fit(dataset.observations, epsilon=1e-3)
     record = run_writing.data_record(dataset, normaliser, data, directory)
     run = run_writing.begin(directory, config, plain(record), process_record(1, "default"), dataset)
+    spec = dataset.spec()
+    begin = jax.jit(lambda key: learner.init(key, spec, learner.untrained(key, spec)))
     for seed in seeds:
-        spec = dataset.spec()
-        state = learner.init(jr.key(seed), spec, learner.untrained(jr.key(seed), spec))
+        state = begin(jr.key(seed))
         summary = {"seed": seed, "step": 0, "status": "finished", "evaluation": None, "warnings": []}
         checkpoints.save(run.seed_directory(seed) / "checkpoints", 0, state, {"seed": seed, "summary": summary})
     return directory

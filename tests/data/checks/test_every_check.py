@@ -2,6 +2,8 @@
 
 import dataclasses
 import functools
+import hashlib
+from collections.abc import Iterator
 from typing import Any
 
 import h5py
@@ -10,7 +12,8 @@ import pytest
 
 from data.checks import healthy
 from odaf.data import Dataset
-from odaf.data.checks import Report, check_file, check_log, known
+from odaf.data.checks import Report, check_file, check_log, known, signs
+from odaf.data.checks.sample import Sample
 from odaf.data.log import Log
 from odaf.errors import DatasetError
 
@@ -267,6 +270,28 @@ def spoiled(name: str) -> Log:
 @functools.cache
 def report_of(name: str) -> Report:
     return check_log(spoiled(name))
+
+
+@pytest.fixture(autouse=True, scope="module")
+def signs_of_a_sample_are_found_once() -> Iterator[None]:
+    """Most of a check's time goes into them, and they depend on the sample alone, which many of these logs share."""
+    met: dict[bytes, signs.Signs] = {}
+    find = signs.find
+
+    def found(sample: Sample) -> signs.Signs:
+        digest = hashlib.sha256()
+        for field in dataclasses.fields(sample):
+            value = getattr(sample, field.name)
+            digest.update(repr((field.name, getattr(value, "dtype", None), getattr(value, "shape", value))).encode())
+            digest.update(b"" if value is None else np.ascontiguousarray(value).tobytes())
+        key = digest.digest()
+        if key not in met:
+            met[key] = find(sample)
+        return met[key]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(signs, "find", found)
+        yield
 
 
 @pytest.mark.parametrize("name", SPOILED)
