@@ -27,7 +27,7 @@ def test_the_table_is_printed_and_every_number_written(run: Path, tmp_path: Path
     assert "behaviour" in printed and "the policy learned from this very log" in printed
     assert "wis: DeterministicActor: is deterministic" in printed and "--method fqe" in printed
     record = json.loads(out.read_text())
-    assert [each["method"] for each in record["estimates"]] == ["fqe", "model", "blend", "wis", "pdis", "dr"]
+    assert [each["method"] for each in record["estimates"]] == ["fqe", "shrunk", "model", "blend", "wis", "pdis", "dr"]
     assert record["behaviour"]["low"] <= record["behaviour"]["value"] <= record["behaviour"]["high"]
 
 

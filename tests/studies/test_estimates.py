@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 
 from odaf.environments.gaussian_policy import GaussianPolicy
+from odaf.estimation.shrinkage import MEASURED, Shrinkage, posterior
 from odaf.studies import estimates, known_policies
 from odaf.studies.estimator_scores import Estimated, ranking, regret, score, widening
 from odaf.studies.job import Job, Phase, Study
+from odaf.studies.known_shrinkage import fitted, in_two_digits
 from odaf.studies.ledger import Ledger
 from odaf.training.progress import Silent
 
@@ -110,8 +112,19 @@ def valuation(value: float, calibrated: float) -> dict[str, Any]:
         return {"value": centre, "low": centre - half, "high": centre + half}
 
     refused = {"method": "wis", "value": None, "calibrated": None}
-    fqe = {"method": "fqe", "value": interval(value, 0.5), "calibrated": interval(calibrated, 0.5)}
-    return {"estimates": [fqe, refused], "behaviour": interval(2.0, 0.1)}
+    fqe = {
+        "method": "fqe",
+        "value": interval(value, 0.5),
+        "calibrated": interval(calibrated, 0.5),
+        "difference": interval(calibrated - 2.0, 0.5),
+    }
+    return {
+        "estimates": [fqe, refused],
+        "behaviour": interval(2.0, 0.1),
+        "unlike": 1.0 / (10.0 + value),
+        "episodes": 100,
+        "confidence": 0.95,
+    }
 
 
 def records() -> list[dict[str, Any]]:
@@ -127,8 +140,36 @@ def records() -> list[dict[str, Any]]:
             name: {key: valuation(sign * float(t), float(t) + (1.0 if log != 3 else 3.0)) for key in ("0.99", "1.0")}
             for name, t in zip(names, TRUTH, strict=True)
         }
-        found.append({"kind": "estimates", "robot": "hopper", "log": log, "policies": policies})
+        identity = {"settings": {"members": 8}}
+        found.append({"kind": "estimates", "robot": "hopper", "log": log, "policies": policies, "identity": identity})
     return found
+
+
+def test_the_numbers_that_shrink_fitted_q_are_found_where_they_are_known():
+    rng, true = np.random.default_rng(0), Shrinkage(0.6, 0.4, 0.1, 0.5)
+    known = []
+    for unlike in rng.uniform(0.0, 1.0, 4_000):
+        size = float(rng.choice([1.0, 100.0]))  # of a log's values: the numbers are in units of it
+        said = rng.uniform(-1.0, 1.0)
+        mean, spread, _ = posterior(said, 0.05, unlike, true)
+        worth = mean + spread * rng.standard_t(5.0)
+        half = 2.3646 * 0.05 * size
+        difference = {"value": said * size, "low": said * size - half, "high": said * size + half}
+        own = {"value": size, "low": size, "high": size}
+        each = {"method": "fqe", "difference": difference}
+        valuation = {"estimates": [each], "behaviour": own, "unlike": unlike, "episodes": 9, "confidence": 0.95}
+        known.append((valuation, 8, (1.0 + worth) * size))
+    found = fitted(known)
+    assert found is not None
+    np.testing.assert_allclose([found.loss, found.prior, found.miss_unlike], [0.6, 0.4, 0.5], rtol=0.1)
+    assert abs(found.miss - 0.1) < 0.03
+    assert fitted([]) is None
+
+
+def test_the_package_shrinks_by_the_numbers_of_the_records():
+    records = Ledger(estimates.STUDY, Path("results/estimates")).held()
+    found = fitted(estimates.known_of_first_logs(records))
+    assert found is not None and in_two_digits(found) == MEASURED
 
 
 def test_the_recommended_estimator_is_fixed_on_the_first_logs_and_judged_on_the_others():
@@ -143,6 +184,7 @@ def test_the_recommended_estimator_is_fixed_on_the_first_logs_and_judged_on_the_
     assert set(calibrated) >= {"spearman", "regret_at_1", "mean_absolute_error", "coverage", "width"}
     assert found["wis"]["answered"] == 0.0 and found["wis"]["spearman"] is None
     assert "fqe, undiscounted" in found
+    assert found["likeness of actions"]["spearman"] == pytest.approx(-1.0)  # like raw values, in this case
     table = estimates.table(records())
     assert "| fqe, calibrated | 1.00 | 0.00 | 0.50 | 0.00 | 0.25 | 1.00 |" in table
     assert "| hopper | 4 | 1 to 5 | 0.1 | 1.0 to 5.0 | 2 to 2 |" in table

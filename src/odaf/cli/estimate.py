@@ -32,7 +32,7 @@ class EstimateOptions:
     """What `odaf train --out` named, or the file of a policy."""
     data: Annotated[Path, tyro.conf.arg(metavar="HOLDOUT")]
     """Data set that the policy did not learn from, as `odaf data split --holdout` writes it."""
-    method: Literal["fqe", "model", "blend", "wis", "pdis", "dr", "all"] = "all"
+    method: Literal["fqe", "shrunk", "model", "blend", "wis", "pdis", "dr", "all"] = "all"
     """Estimator to ask."""
     training_seed: Annotated[int | None, tyro.conf.arg(metavar="INT")] = None
     """Seed of the run whose policy to judge; without it, the first."""

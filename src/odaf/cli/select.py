@@ -29,7 +29,7 @@ class SelectOptions:
     """What `odaf train --out` named; a folder of several runs gives them all."""
     data: Annotated[Path, tyro.conf.arg(metavar="HOLDOUT")]
     """Data set that no run learned from, as `odaf data split --holdout` writes it."""
-    method: Literal["fqe", "model", "blend", "wis", "pdis", "dr"] = "fqe"
+    method: Literal["fqe", "shrunk", "model", "blend", "wis", "pdis", "dr"] = "fqe"
     """Estimator that chooses."""
     checkpoints: Literal["all", "last"] = "all"
     """Checkpoints to choose among: all that a run keeps, or the last of each seed."""

@@ -75,7 +75,9 @@ class Beside:
     ) -> list[tuple[Valuation, ...]]:
         """For each policy a valuation at each discount; progress is told as it comes."""
         needed = set(methods) | ({"fqe", "model"} if "blend" in methods else set())
-        wants_q = "fqe" in needed or ("dr" in needed and any(not each.unweighed for each in self.judged))
+        wants_q = bool({"fqe", "shrunk"} & needed) or (
+            "dr" in needed and any(not each.unweighed for each in self.judged)
+        )
         stages = Stages(progress, self.log.settings.steps, 1 + wants_q + ("model" in needed))
         density = self.log.fitted_density(self.key_density, stages.next())
         fitted = self._fit(density, stages.next()) if wants_q else []

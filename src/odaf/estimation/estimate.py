@@ -22,10 +22,11 @@ from odaf.training.policy import Policy
 from odaf.training.run_directory import RunDirectory
 from odaf.training.settings import products_in
 
-Method = Literal["fqe", "model", "blend", "wis", "pdis", "dr", "all"]
+Method = Literal["fqe", "shrunk", "model", "blend", "wis", "pdis", "dr", "all"]
 ACTING = get_args(Acting)
 ESTIMATORS: dict[str, str] = {
     "fqe": "fitted Q evaluation",
+    "shrunk": "the same drawn toward the log's own value, the more the less the policy acts as the log does",
     "model": "rollouts of a fitted model",
     "blend": "the weighed mean of both, calibrated",
     "wis": "weighted importance sampling of whole episodes",

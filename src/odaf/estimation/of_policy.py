@@ -5,6 +5,7 @@ Estimators are not believed of a log for these reasons:
 - weighing ones: fewer than 10 effective episodes;
 - fitted Q and the model: the control fails: asked for the behaviour, they miss what it is known to have earned;
 - the model: it leads the behaviour itself, too, mostly to states unlike the log's;
+- drawn toward the log's own value: for the reasons of fitted Q;
 - doubly robust: for the reasons of the weights or of fitted Q; the blend leaves out which fails, and fails with both.
 
 What unlike states may earn is the model's to say. Without it, or where its control fails, no one knows where the
@@ -31,6 +32,7 @@ from odaf.estimation.judging import LARGEST_SHARE_UNLIKE, judged, why_thin
 from odaf.estimation.outcomes import Unknown
 from odaf.estimation.recorded import by_step
 from odaf.estimation.settings import Acting
+from odaf.estimation.shrinkage import shrink
 from odaf.estimation.valuation import Interval, Valuation, ValueEstimate
 from odaf.training.policy import Policy
 
@@ -105,6 +107,8 @@ class OfPolicy:
             for name in methods:
                 if name == "blend":
                     made.append(self._blended(place, doubts, knows))
+                elif name == "shrunk":
+                    made.append(self._shrunk(place, doubts["fqe"], knows))
                 elif name in ("fqe", "model"):
                     made.append(self._by_members(name, place, doubts[name], knows))
                 elif weights is None:
@@ -253,6 +257,31 @@ class OfPolicy:
             calibrated=Interval.of_members(float(calibrated[0]), calibrated[1:], confidence),
             figures={**each.figures, "control": float(control[0])},
             better=Interval.above_zero(float(above[0]), above[1:]),
+        )
+
+    def _shrunk(self, place: int, doubts: list[str], knows: Unknown | None) -> ValueEstimate:
+        by_fqe = self._by_members("fqe", place, [], None)
+        (value, length), own = self.by_members["fqe"].values[place], self.log.own[place][0]
+        confidence = self.log.settings.confidence
+        assert by_fqe.difference is not None
+        found = shrink(
+            by_fqe.difference,
+            Interval.of_resamples(float(own[0]), own[1:], confidence),
+            self.judged.unlike,
+            members=len(value) - 1,
+            episodes=self.log.dataset.num_episodes,
+            confidence=confidence,
+        )
+        worth, steps = found.around(float(own[0]), confidence), float(length[0])
+        return judged(
+            "shrunk",
+            worth,
+            Interval(worth.value / steps, worth.low / steps, worth.high / steps),
+            found.around(0.0, confidence),
+            doubts,
+            unknown=knows,
+            figures={"weight_fqe": found.weight},
+            better=found.better,
         )
 
     def _blended(self, place: int, doubts: Mapping[str, list[str]], knows: Unknown | None) -> ValueEstimate:

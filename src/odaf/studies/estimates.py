@@ -1,8 +1,8 @@
 """The estimates study: policies of known value, judged from logs of somebody else.
 
 For each robot eleven snapshots along a training run are judged from logs of its medium policy, one log a seed, all
-policies of a log in one compiled program. The estimator that is recommended, and how much wider its intervals have to
-be, are fixed on the first two logs of each robot and judged on the others.
+policies of a log in one compiled program. The estimator that is recommended, how much wider its intervals have to be,
+and the numbers of `odaf.estimation.shrinkage` are fixed on the first two logs of each robot and judged on the others.
 """
 
 import json
@@ -18,7 +18,9 @@ import numpy as np
 from odaf.studies.estimator_scores import Estimated, Score, score, widening
 from odaf.studies.job import PRINTS, DataEntries, Job, Log, Phase, Record, Study, Work, prints_of
 from odaf.studies.known_policies import DISCOUNTS, TrueValues, as_policy, snapshots
+from odaf.studies.known_shrinkage import Known, fitted
 from odaf.studies.logs import LOCAL, RecordedLog, policies_print
+from odaf.studies.recorded_estimates import RECORDED, intervals
 from odaf.studies.tables import grouped
 
 if TYPE_CHECKING:
@@ -30,6 +32,7 @@ FIXED_ON = (0, 1)  # logs by which the recommended estimator is chosen
 ROWS = 100_000
 HORIZON = 1_000
 CONFIDENCE = 0.95
+UNKNOWABLE = "expert"  # acts as nobody in the logs did, and earns most
 VERSION = 3  # raised when the same settings would give other estimates
 
 
@@ -80,12 +83,12 @@ class Estimating(Work):
         return f"{len(record['policies'])} policies"
 
     def identity(self) -> dict[str, Any]:
-        from odaf.estimation import ESTIMATORS, EstimateSettings
+        from odaf.estimation import EstimateSettings
         from odaf.training.files import plain
 
         return {
             "version": VERSION,
-            "estimators": list(ESTIMATORS),
+            "estimators": list(RECORDED),
             "settings": plain(asdict(EstimateSettings(**dict(self.changes)))),
             "data": {"print": "known", **self.log.recipe()},
             "horizon": self.horizon,
@@ -168,27 +171,26 @@ def said_at(records: Sequence[Record], discount: float) -> Said:
             continue
         policies = [policy for policy in record["policies"] if policy in truths[record["robot"]]]
         truth = [truths[record["robot"]][policy][str(discount)]["mean"] for policy in policies]
-        said = [intervals(record["policies"][policy][str(discount)]) for policy in policies]
+        members = record["identity"]["settings"]["members"]
+        said = [intervals(record["policies"][policy][str(discount)], members) for policy in policies]
         for name in said[0]:
-            values, low, high = np.array([each[name] for each in said]).T
-            found.setdefault(name, {})[record["robot"], record["log"]] = Estimated(values, low, high, np.array(truth))
+            columns = np.array([each[name] for each in said]).T
+            each = Estimated(*columns, np.array(truth), tuple(policies))
+            found.setdefault(name, {})[record["robot"], record["log"]] = each
     return found
 
 
-def intervals(valuation: Mapping[str, Any]) -> dict[str, tuple[float, float, float]]:
-    """Value and interval by estimator, of a valuation as records hold it; calibrated values count as another one."""
-    found: dict[str, tuple[float, float, float]] = {}
-    for each in valuation["estimates"]:
-        found[each["method"]] = _numbers(each["value"])
-        if each["calibrated"] is not None:
-            found[f"{each['method']}, calibrated"] = _numbers(each["calibrated"])
-    return found
-
-
-def _numbers(interval: Mapping[str, float | None] | None) -> tuple[float, float, float]:
-    parts = [None] * 3 if interval is None else [interval[end] for end in ("value", "low", "high")]
-    value, low, high = (math.nan if part is None else part for part in parts)
-    return value, low, high
+def known_of_first_logs(records: Sequence[Record]) -> list[Known]:
+    """What the numbers of `odaf.estimation.shrinkage` are fitted to."""
+    truths = {record["robot"]: record["policies"] for record in records if record["kind"] == "truth"}
+    return [
+        (valuation, record["identity"]["settings"]["members"], truths[record["robot"]][policy][discount]["mean"])
+        for record in records
+        if record["kind"] == "estimates" and record["robot"] in truths and record["log"] in FIXED_ON
+        for policy, by_discount in record["policies"].items()
+        if policy in truths[record["robot"]]
+        for discount, valuation in by_discount.items()
+    ]
 
 
 @dataclass(frozen=True)
@@ -225,7 +227,9 @@ def scores(said: Said) -> dict[str, Score]:
     found = {name: score(sets) for name, sets in judging.items() if sets}
     choice = recommended(said)
     if choice is not None and judging[choice.estimator]:
-        found["recommended"] = score([each.widened(choice.factor) for each in judging[choice.estimator]])
+        wide = [each.widened(choice.factor) for each in judging[choice.estimator]]
+        found["recommended"] = score(wide)
+        found[f"recommended, without the {UNKNOWABLE}"] = score([each.without(UNKNOWABLE) for each in wide])
     return found
 
 
@@ -276,6 +280,10 @@ def table(records: Sequence[Record]) -> str:
                 for name, each in found.items()
             ),
         ]
+    numbers = fitted(known_of_first_logs(records))
+    if numbers is not None:
+        said_of = ", ".join(f"{name} {value:.2f}" for name, value in vars(numbers).items())
+        lines += ["", f"Fitted Q is shrunk by what the first logs say: {said_of}."]
     lines += [
         "",
         "| robot | policies | true values, undiscounted | standard error at most | discount 0.99 | log's own |",

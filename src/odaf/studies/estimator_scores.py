@@ -25,12 +25,14 @@ class Estimated:
         low: [policies], ends of the intervals.
         high: [policies].
         truth: [policies].
+        names: of the policies; may be left out.
     """
 
     values: np.ndarray
     low: np.ndarray
     high: np.ndarray
     truth: np.ndarray
+    names: tuple[str, ...] = ()
 
     @property
     def known(self) -> np.ndarray:
@@ -45,7 +47,13 @@ class Estimated:
     def widened(self, factor: float) -> "Estimated":
         """The same with intervals that reach further from the estimate by this factor."""
         low, high = (self.values + factor * (end - self.values) for end in (self.low, self.high))
-        return Estimated(self.values, low, high, self.truth)
+        return Estimated(self.values, low, high, self.truth, self.names)
+
+    def without(self, name: str) -> "Estimated":
+        """The same of all policies but one."""
+        kept = [place for place, each in enumerate(self.names) if each != name]
+        columns = (column[kept] for column in (self.values, self.low, self.high, self.truth))
+        return Estimated(*columns, tuple(self.names[place] for place in kept))
 
 
 @dataclass(frozen=True)

@@ -13,9 +13,13 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from odaf.studies.estimator_scores import Estimated, score
 from odaf.studies.identity import by_name
 from odaf.studies.job import PRINTS, DataEntries, Job, Log, Phase, Record, Study, Work, prints_of
 from odaf.studies.logs import LOCAL, RecordedLog
+from odaf.studies.recorded_estimates import LIKENESS, intervals
 from odaf.studies.tables import grouped
 from odaf.studies.task import Evaluation, Task
 from odaf.studies.training import Training
@@ -31,6 +35,8 @@ STEPS = 30_000
 EVALUATION = Evaluation(every=10_000, episodes=20)
 HORIZON = 1_000
 CHOOSES = "fqe"  # the estimator of "chosen"; the table has the others
+COMPARED = ("fqe, calibrated", "shrunk", LIKENESS)  # with true values
+FIGURES = ("spearman", "mean_absolute_error", "coverage", "width")
 TRIES = 3  # in the simulator, of "best_of_three"
 VERSION = 3
 
@@ -204,7 +210,21 @@ def figures(records: Sequence[Record]) -> dict[str, dict[str, Any]]:
             "worst": ordered[0],
             "by_estimator": {method: score for method, score in by_method.items() if score is not None},
             "log": next(iter(trained.values()))["data"]["normalised_score"],
+            "beside_true_values": beside_true_values(choice, finals),
         }
+    return found
+
+
+def beside_true_values(choice: Record, finals: Mapping[str, Any]) -> dict[str, dict[str, float]]:
+    """Figures of estimators (`odaf.studies.estimator_scores`) on the policies of a grid, which the simulator tried."""
+    members = choice["identity"]["settings"]["members"]
+    said = {name: intervals(choice["estimates"][name], members) for name, final in finals.items() if final is not None}
+    truth = np.array([finals[name]["mean_return"] for name in said])
+    found = {}
+    for estimator in COMPARED:
+        columns = np.array([each[estimator] for each in said.values()]).T
+        figures = asdict(score([Estimated(*columns, truth)]))
+        found[estimator] = {name: value for name, value in figures.items() if not math.isnan(value)}
     return found
 
 
@@ -236,6 +256,17 @@ def table(records: Sequence[Record]) -> str:
         cells = [f"{each[name]:.1f}" for name in ("log", "worst", "random")]
         cells += [chosen, f"{each['best_of_three']:.1f}", f"{each['oracle']:.1f}", reached, others]
         lines.append(f"| {task.removesuffix('-train')} | {' | '.join(cells)} |")
+    lines += [
+        "",
+        "The same policies beside what they earn in the simulator, as `odaf reproduce estimates` has it for others:",
+        "",
+        f"| log | estimator | {' | '.join(name.replace('_', ' ') for name in FIGURES)} |",
+        f"|---|---|{'---|' * len(FIGURES)}",
+    ]
+    for task, each in found.items():
+        for estimator, own in each["beside_true_values"].items():
+            cells = ["-" if name not in own else f"{own[name]:.2f}" for name in FIGURES]
+            lines.append(f"| {task.removesuffix('-train')} | {estimator} | {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"
 
 
