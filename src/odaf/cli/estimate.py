@@ -21,8 +21,9 @@ class EstimateOptions:
     must be one that the policy did not learn from: set episodes aside with `odaf data split` before training. Each
     estimator says better, worse or not decided, and refuses where the log cannot tell, with the reason.
 
-    fqe fits what the policy's actions are worth, step by step; model plays the policy in a fitted model of the plant;
-    blend is the weighed mean of both, calibrated by what the log earned. These ask for no density. wis (whole
+    fqe fits what the policy's actions are worth, step by step; shrunk draws that toward what the log earned, the more
+    the less the policy acts as the log does; model plays the policy in a fitted model of the plant; blend is the
+    weighed mean of fqe and model, calibrated by what the log earned. These ask for no density. wis (whole
     episodes), pdis (per decision) and dr (doubly robust) weigh logged episodes by how much more probable the policy
     makes their actions; they need --acting draws and policies that have a density, and long episodes leave them few
     effective ones.
