@@ -35,6 +35,8 @@ def test_figures_of_an_estimator_by_hand():
     assert regret(said([0.0, 9.0, 0.0, 0.0], truth=TRUTH - 10.0)) == pytest.approx((5 - 2) / 5)  # of - 5
     found = score([said([1.0, 2.0, 4.5, 7.0]), said([1.5, 2.0, 5.0, 3.0])])
     assert found.mean_absolute_error == pytest.approx((0.5 + 4.0 + 0.5) / 8 / 4)
+    # Seven intervals are 2 wide and hold the truth, one misses 3 by 3; the spread of the truth is 4.
+    assert found.interval_score == pytest.approx((8 * 2 + 40 * 3) / 8 / 4)
     assert found.coverage == 7 / 8 and found.width == 2 / 4 and found.answered == 1.0
     assert found.spearman == pytest.approx(0.9) and found.regret_at_1 == pytest.approx(0.2)
 
@@ -173,7 +175,7 @@ def test_the_package_shrinks_by_the_numbers_of_the_records():
 
 
 def test_the_recommended_estimator_is_fixed_on_the_first_logs_and_judged_on_the_others():
-    # On the first logs both rank perfectly; the raw one is exact and named first, so it is chosen, and fails later.
+    # On the first logs the raw one is exact, so it is chosen, and fails later.
     found = json.loads(estimates.summary(records()))
     assert found["recommended"]["estimator"] == "fqe" and found["recommended"]["widened_by"] == 1.0
     assert found["recommended"]["spearman"] == pytest.approx(-1.0) == found["fqe"]["spearman"]
@@ -186,7 +188,7 @@ def test_the_recommended_estimator_is_fixed_on_the_first_logs_and_judged_on_the_
     assert "fqe, undiscounted" in found
     assert found["likeness of actions"]["spearman"] == pytest.approx(-1.0)  # like raw values, in this case
     table = estimates.table(records())
-    assert "| fqe, calibrated | 1.00 | 0.00 | 0.50 | 0.00 | 0.25 | 1.00 |" in table
+    assert "| fqe, calibrated | 1.00 | 0.00 | 0.50 | 0.00 | 0.25 | 1.00 | 15.25 |" in table
     assert "| hopper | 4 | 1 to 5 | 0.1 | 1.0 to 5.0 | 2 to 2 |" in table
 
 

@@ -202,16 +202,13 @@ class Recommended:
 
 
 def recommended(said: Said) -> Recommended | None:
-    """The estimator with the highest Spearman less regret@1 on the logs that choose; None where there are none."""
+    """The estimator with the lowest interval score on the logs that choose; None where there are none."""
     chosen: tuple[float, str] | None = None
     for name, sets in said.items():
         choosing = _of_logs(sets, chooses=True)
-        if not choosing:
-            continue
-        found = score(choosing)
-        worth = found.spearman - found.regret_at_1
-        if found.answered == 1.0 and math.isfinite(worth) and (chosen is None or worth > chosen[0]):
-            chosen = worth, name
+        found = score(choosing) if choosing else None
+        if found is not None and found.answered == 1.0 and (chosen is None or found.interval_score < chosen[0]):
+            chosen = found.interval_score, name
     if chosen is None:
         return None
     return Recommended(chosen[1], max(1.0, widening(_of_logs(said[chosen[1]], chooses=True), CONFIDENCE)))
@@ -273,8 +270,8 @@ def table(records: Sequence[Record]) -> str:
             "",
             f"**{title}**{chosen}",
             "",
-            "| estimator | Spearman | regret@1 | mean absolute error | coverage | width | answered |",
-            "|---|---|---|---|---|---|---|",
+            "| estimator | Spearman | regret@1 | mean absolute error | coverage | width | answered | interval score |",
+            "|---|---|---|---|---|---|---|---|",
             *(
                 f"| {name} | {' | '.join(_shown(value) for value in asdict(each).values())} |"
                 for name, each in found.items()
