@@ -27,7 +27,7 @@ def shrunk(difference: float, error: float, unlike: float, own: float = 8.0, sca
 
 
 def test_both_sources_are_weighed_by_their_precision():
-    # In units of S = sqrt(8^2 + 6^2) = 10: prior -0.25 with spread 0.3; fitted Q 0.35 with 0.2^2 + 0.1^2 + 0.2^2 = 0.09.
+    # In units of S = sqrt(8^2 + 6^2) = 10: prior -0.25 with spread 0.3; fitted Q 0.35, 0.2^2 + 0.1^2 + 0.2^2 = 0.09.
     found = shrunk(3.5, 2.0, 0.5)
     assert found.weight == pytest.approx(0.5, rel=1e-4)
     assert found.mean == pytest.approx(10 * (-0.25 + 0.35) / 2, rel=1e-3)

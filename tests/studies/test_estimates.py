@@ -194,10 +194,11 @@ def test_the_recommended_estimator_is_fixed_on_the_first_logs_and_judged_on_the_
 
 def test_intervals_of_the_recommended_estimator_are_widened_by_what_the_first_logs_ask():
     content = records()
-    for record in content[1:]:  # only the calibrated one answers
+    for record in content[1:]:  # the calibrated one answers, and one that expects all to lose
         for each in record["policies"].values():
             for kind in each.values():
                 kind["estimates"][0]["value"] = None
+                kind["unlike"] = 0.9
     found = json.loads(estimates.summary(content))["recommended"]
     # Off by 1 with half widths of 0.5: widened by 2, so that the third log is covered and the fourth, off by 3, not.
     assert found["estimator"] == "fqe, calibrated" and found["widened_by"] == pytest.approx(2.0)

@@ -18,18 +18,26 @@ SCORES = {"a": 10.0, "b": 40.0, "c": 20.0, "d": 30.0}
 
 def estimate(low: float, verdict: str = "not decided", width: float = 2.0) -> dict[str, Any]:
     difference = {"value": low + width / 2, "low": low, "high": low + width}
-    fqe = {"method": "fqe", "difference": difference, "verdict": verdict}
-    wis = {"method": "wis", "difference": None, "verdict": "refused"}
-    return {"estimates": [fqe, wis]}
+    calibrated = {name: 100.0 + number for name, number in difference.items()}
+    fqe = {"method": "fqe", "difference": difference, "calibrated": calibrated, "value": calibrated, "verdict": verdict}
+    wis = {"method": "wis", "difference": None, "calibrated": None, "value": None, "verdict": "refused"}
+    own = {"value": 100.0, "low": 99.0, "high": 101.0}
+    return {"estimates": [fqe, wis], "behaviour": own, "unlike": 0.1, "episodes": 20, "confidence": 0.95}
 
 
 def records(estimates: dict[str, Any]) -> list[dict[str, Any]]:
     log = {"normalised_score": 12.0}
     found = [
-        {"task": "hopper-medium-train", "method": name, "final": {"normalised_score": score}, "data": log}
+        {
+            "task": "hopper-medium-train",
+            "method": name,
+            "final": {"normalised_score": score, "mean_return": 100.0 + score},
+            "data": log,
+        }
         for name, score in SCORES.items()
     ]
-    return [*found, {"kind": "choice", "task": "hopper-medium-train", "estimates": estimates}]
+    identity = {"settings": {"members": 8}}
+    return [*found, {"kind": "choice", "task": "hopper-medium-train", "estimates": estimates, "identity": identity}]
 
 
 def test_ways_to_choose_by_hand():
@@ -44,8 +52,13 @@ def test_ways_to_choose_by_hand():
     assert found["random"] == 25.0 and found["oracle"] == 40.0 and found["worst"] == 10.0 and found["log"] == 12.0
     assert found["best_of_three"] == pytest.approx((30 + 3 * 40) / 4)
     assert found["chosen"] == 30.0 and found["by_estimator"] == {"fqe": 30.0}
-    row = selection.table(records(estimates)).splitlines()[-1]
-    assert row == "| hopper-medium | 12.0 | 10.0 | 25.0 | 30.0 | 37.5 | 40.0 | no |  |"
+    lines = selection.table(records(estimates)).splitlines()
+    assert "| hopper-medium | 12.0 | 10.0 | 25.0 | 30.0 | 37.5 | 40.0 | no |  |" in lines
+    # Calibrated values 102, 110, 127, 104 beside true ones 110, 140, 120, 130: ranks 1 3 4 2 and 1 4 2 3.
+    beside = found["beside_true_values"]["fqe, calibrated"]
+    assert beside["spearman"] == pytest.approx(1 - 6 * (1 + 4 + 1) / 60)
+    assert beside["mean_absolute_error"] == pytest.approx((8 + 30 + 7 + 26) / 4 / 30)
+    assert beside["coverage"] == 0.25 and "| hopper-medium | fqe, calibrated | 0.40 | 0.59 | 0.25 |" in "\n".join(lines)
 
 
 def test_refused_policies_are_chosen_only_where_there_are_no_others():

@@ -7,7 +7,8 @@
     interval score      mean ( width + 40 distance of the true value from the interval ) / spread
 
 (Fu et al. 2021, the benchmark DOPE; the last one, of 95 % intervals, where 40 = 2 / 0.05: Gneiting and Raftery 2007.
-It is lowest for intervals that are narrow and hold their share.) Estimates are NaN where an estimator had no answer; such policies are left out.
+It is lowest for intervals that are narrow and hold their share.) Estimates are NaN where an estimator had no answer;
+such policies are left out.
 """
 
 from collections.abc import Sequence
