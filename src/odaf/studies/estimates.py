@@ -174,8 +174,8 @@ def said_at(records: Sequence[Record], discount: float) -> Said:
         members = record["identity"]["settings"]["members"]
         said = [intervals(record["policies"][policy][str(discount)], members) for policy in policies]
         for name in said[0]:
-            columns = np.array([each[name] for each in said]).T
-            each = Estimated(*columns, np.array(truth), tuple(policies))
+            values, low, high = np.array([each[name] for each in said]).T
+            each = Estimated(values, low, high, np.array(truth), tuple(policies))
             found.setdefault(name, {})[record["robot"], record["log"]] = each
     return found
 

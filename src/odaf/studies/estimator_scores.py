@@ -56,8 +56,8 @@ class Estimated:
     def without(self, name: str) -> "Estimated":
         """The same of all policies but one."""
         kept = [place for place, each in enumerate(self.names) if each != name]
-        columns = (column[kept] for column in (self.values, self.low, self.high, self.truth))
-        return Estimated(*columns, tuple(self.names[place] for place in kept))
+        names = tuple(self.names[place] for place in kept)
+        return Estimated(self.values[kept], self.low[kept], self.high[kept], self.truth[kept], names)
 
 
 @dataclass(frozen=True)

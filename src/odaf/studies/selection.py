@@ -222,8 +222,8 @@ def beside_true_values(choice: Record, finals: Mapping[str, Any]) -> dict[str, d
     truth = np.array([finals[name]["mean_return"] for name in said])
     found = {}
     for estimator in COMPARED:
-        columns = np.array([each[estimator] for each in said.values()]).T
-        figures = asdict(score([Estimated(*columns, truth)]))
+        values, low, high = np.array([each[estimator] for each in said.values()]).T
+        figures = asdict(score([Estimated(values, low, high, truth)]))
         found[estimator] = {name: value for name, value in figures.items() if not math.isnan(value)}
     return found
 
