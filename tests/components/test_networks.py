@@ -113,6 +113,21 @@ def test_rounded_products_round_their_factors_and_nothing_else(shape, products):
     np.testing.assert_allclose(row_gradient, row_sums, atol=1e-3)
 
 
+@pytest.mark.parametrize("products", ["bfloat16", "tensorfloat32"])
+def test_rounded_products_are_compiled_for_rows_that_members_share(products):
+    stack = jax.jit(lambda: init_mlp(jr.key(2), (5, 6, 8, 1), members=3, products=products))()
+    rows, slopes = jr.normal(jr.key(3), (7, 5)), jr.normal(jr.key(4), (3, 7))
+
+    def both(stack, rows):
+        values, pull_back = jax.vjp(lambda stack, rows: stack(rows)[..., 0], stack, rows)
+        return values, pull_back(slopes)
+
+    for compiled, known in zip(
+        jax.tree.leaves(jax.jit(both)(stack, rows)), jax.tree.leaves(both(stack, rows)), strict=True
+    ):
+        np.testing.assert_allclose(compiled, known, atol=2e-2)
+
+
 def test_rounding_is_felt_and_small():
     exact, finer, coarser = (
         jax.jit(lambda p=p: init_mlp(jr.key(2), (5, 64, 64, 1), products=p))()

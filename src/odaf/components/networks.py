@@ -116,16 +116,19 @@ _rounded_product.defvjp(_rounded_forward, _rounded_backward)
 
 
 def _round(factor: Array, products: Products) -> Array:
+    # Processors have no compiled products of 16-bit numbers for every shape, and may leave out a conversion there and
+    # back, so they round in 32 bits. TF32 has float32's exponent and 10 bits of mantissa, bfloat16 has 7.
+    if jax.default_backend() == "cpu":
+        return jax.lax.reduce_precision(factor, 8, 7 if products == "bfloat16" else 10)
     if products == "bfloat16":
         return factor.astype(jnp.bfloat16)
-    # TF32 has float32's exponent and 10 bits of mantissa. A GPU's products round by themselves.
     return factor if jax.default_backend() == "gpu" else jax.lax.reduce_precision(factor, 8, 10)
 
 
 def _mixed(equation: str, a: Array, b: Array, products: Products) -> Array:
-    if products == "bfloat16":
+    if a.dtype == jnp.bfloat16:
         return jnp.einsum(equation, a, b, preferred_element_type=jnp.float32)
-    natively = jax.default_backend() == "gpu"
+    natively = products == "tensorfloat32" and jax.default_backend() == "gpu"  # its products round by themselves
     return jnp.einsum(equation, a, b, precision=jax.lax.Precision.HIGH if natively else jax.lax.Precision.HIGHEST)
 
 
