@@ -7,12 +7,14 @@ than anybody who wrote the log.
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from odaf.estimation.shrinkage import Shrinkage, error_and_size, posterior
 from odaf.studies.recorded_estimates import of_fqe
+
+if TYPE_CHECKING:
+    from odaf.estimation.shrinkage import Shrinkage
 
 DEGREES = 5.0
 STARTS = ((0.3, 0.3, 0.1, 0.5), (0.6, 0.3, 0.05, 0.5), (0.3, 0.6, 0.1, 0.2))
@@ -21,10 +23,12 @@ Known = tuple[Mapping[str, Any], int, float]
 """A valuation as records hold it, the members of its fitted Q, and the true value of its policy."""
 
 
-def fitted(known: Sequence[Known]) -> Shrinkage | None:
+def fitted(known: Sequence[Known]) -> "Shrinkage | None":
     """The numbers that make the true values most probable; None without any."""
     from scipy.optimize import minimize
     from scipy.stats import t
+
+    from odaf.estimation.shrinkage import Shrinkage, error_and_size, posterior
 
     if not known:
         return None
@@ -44,6 +48,8 @@ def fitted(known: Sequence[Known]) -> Shrinkage | None:
     return Shrinkage(*(float(each) for each in np.exp(best.x)))
 
 
-def in_two_digits(found: Shrinkage) -> Shrinkage:
+def in_two_digits(found: "Shrinkage") -> "Shrinkage":
     """As the package holds it."""
+    from odaf.estimation.shrinkage import Shrinkage
+
     return Shrinkage(*(round(value, 2) for value in vars(found).values()))

@@ -2,10 +2,10 @@
 
 import math
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from odaf.estimation.shrinkage import shrink
-from odaf.estimation.valuation import Interval
+if TYPE_CHECKING:
+    from odaf.estimation.valuation import Interval
 
 RECORDED = ("fqe", "model", "blend", "wis", "pdis", "dr")  # estimators that fit or weigh; `shrunk` needs fqe alone
 LIKENESS = "likeness of actions"  # no estimate: the share of actions that the log knows, which ranks policies too
@@ -32,8 +32,10 @@ def _numbers(interval: Mapping[str, float | None] | None) -> tuple[float, float,
     return value, low, high
 
 
-def shrunk_of(valuation: Mapping[str, Any], members: int) -> Interval:
+def shrunk_of(valuation: Mapping[str, Any], members: int) -> "Interval":
     """The value of a policy by `odaf.estimation.shrinkage`."""
+    from odaf.estimation.shrinkage import shrink
+
     difference, own = of_fqe(valuation)
     found = shrink(
         difference,
@@ -46,7 +48,9 @@ def shrunk_of(valuation: Mapping[str, Any], members: int) -> Interval:
     return found.around(own.value, valuation["confidence"])
 
 
-def of_fqe(valuation: Mapping[str, Any]) -> tuple[Interval, Interval]:
+def of_fqe(valuation: Mapping[str, Any]) -> "tuple[Interval, Interval]":
     """Fitted Q's difference from the behaviour, and what the log's episodes earned."""
+    from odaf.estimation.valuation import Interval
+
     fqe = next(each for each in valuation["estimates"] if each["method"] == "fqe")
     return Interval(**fqe["difference"]), Interval(**valuation["behaviour"])

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from odaf.studies.estimator_scores import Estimated, score
-from odaf.studies.identity import by_name
+from odaf.studies.identity import by_name, todays_learner
 from odaf.studies.job import PRINTS, DataEntries, Job, Log, Phase, Record, Study, Work, prints_of
 from odaf.studies.logs import LOCAL, RecordedLog
 from odaf.studies.recorded_estimates import LIKENESS, intervals
@@ -121,7 +121,8 @@ class Choosing(Work):
     def recorded(self, record: Record, data: DataEntries) -> dict[str, Any]:
         prints, entry = prints_of(record["data"]), data.get(self.holdout.name, {"recipe": {}, "sha256": []})
         known = "known" if set(prints) & set(entry["sha256"]) else f"{prints[0][:8]}, not in data.json"
-        return {**record["identity"], "data": {"print": known, **entry["recipe"]}}
+        learner = todays_learner(record["identity"]["learner"])
+        return {**record["identity"], "learner": learner, "data": {"print": known, **entry["recipe"]}}
 
     def do(self, place: Path, progress: "ProgressReport") -> Record:
         from odaf.data import fingerprint
