@@ -14,6 +14,7 @@ from odaf.estimation.evidence import Evidence
 from odaf.estimation.judging import judged
 from odaf.estimation.of_policy import ByMembers, Judged, OfPolicy
 from odaf.estimation.outcomes import Unknown
+from odaf.estimation.shrinkage import shrink
 from odaf.estimation.valuation import Interval
 
 ONE = Interval(1.0, 0.0, 2.0)
@@ -81,6 +82,19 @@ def test_estimators_that_are_as_good_and_disagree_decide_nothing():
     (found,) = of_policy(off=0.0).valuations(("fqe", "model", "blend"))
     assert [each.verdict for each in found.estimates] == ["worse", "better", "not decided"]
     assert found["blend"].difference is not None and found["blend"].difference.value == pytest.approx(0.0, abs=1e-9)
+
+
+def test_fitted_q_is_drawn_toward_the_log_and_refused_for_the_same_reasons():
+    (found,) = of_policy(off=0.0, unlike=0.4).valuations(("fqe", "shrunk"))
+    fqe, shrunk, own = found["fqe"], found["shrunk"], found.behaviour
+    assert fqe.difference and shrunk.difference and shrunk.value and shrunk.per_step
+    by_hand = shrink(fqe.difference, own, 0.4, members=4, episodes=30, confidence=0.95)
+    assert shrunk.difference == by_hand.around(0.0, 0.95) and shrunk.value == by_hand.around(own.value, 0.95)
+    assert shrunk.difference.value > fqe.difference.value == pytest.approx(-2.0)  # 40 % unlike: less is expected
+    assert shrunk.figures["weight_fqe"] == by_hand.weight and shrunk.probability_better == by_hand.better
+    assert shrunk.per_step.high == pytest.approx(shrunk.value.high / HORIZON)
+    (found,) = of_policy(off=50.0).valuations(("shrunk",))
+    assert found["shrunk"].verdict == "refused" and "fitted Q gives" in found["shrunk"].reason
 
 
 def test_rare_actions_refuse_only_where_no_model_says_what_they_lead_to():

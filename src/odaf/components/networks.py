@@ -94,12 +94,12 @@ def _rounded_product(
     The rule is written out because the one that JAX derives multiplies numbers of unlike types, which processors'
     libraries do not. Reverse mode only.
     """
-    return _mixed(_equation(x, weight), _round(x, products), _round(weight, products), products)
+    return _mixed(_equation(x, weight), _round(x, products), _round(weight, products))
 
 
 def _rounded_forward(x: Array, weight: Array, products: Products) -> tuple[Array, tuple[Array, Array]]:
     rounded = _round(x, products), _round(weight, products)
-    return _mixed(_equation(x, weight), *rounded, products), rounded
+    return _mixed(_equation(x, weight), *rounded), rounded
 
 
 def _rounded_backward(products: Products, factors: tuple[Array, Array], slope: Array) -> tuple[Array, Array]:
@@ -107,8 +107,8 @@ def _rounded_backward(products: Products, factors: tuple[Array, Array], slope: A
     rows, columns, out = _equation(x, weight).replace("->", ",").split(",")
     slope = _round(slope, products)
     return (
-        _mixed(f"{out},{columns}->{rows}", slope, weight, products),
-        _mixed(f"{rows},{out}->{columns}", x, slope, products),
+        _mixed(f"{out},{columns}->{rows}", slope, weight),
+        _mixed(f"{rows},{out}->{columns}", x, slope),
     )
 
 
@@ -125,10 +125,10 @@ def _round(factor: Array, products: Products) -> Array:
     return factor if jax.default_backend() == "gpu" else jax.lax.reduce_precision(factor, 8, 10)
 
 
-def _mixed(equation: str, a: Array, b: Array, products: Products) -> Array:
+def _mixed(equation: str, a: Array, b: Array) -> Array:
     if a.dtype == jnp.bfloat16:
         return jnp.einsum(equation, a, b, preferred_element_type=jnp.float32)
-    natively = products == "tensorfloat32" and jax.default_backend() == "gpu"  # its products round by themselves
+    natively = jax.default_backend() == "gpu"  # whose products round to TF32 by themselves
     return jnp.einsum(equation, a, b, precision=jax.lax.Precision.HIGH if natively else jax.lax.Precision.HIGHEST)
 
 

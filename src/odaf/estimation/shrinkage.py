@@ -85,16 +85,20 @@ def shrink(
     """Fitted Q's difference from the behaviour, drawn toward what is known of such policies.
 
     Args:
-        difference: fitted Q's, by `Interval.of_members`.
-        behaviour: what the log's episodes earned, by `Interval.of_resamples`.
-        unlike: u.
+        difference: fitted Q's, by `Interval.of_members`, in the log's unit of reward.
+        behaviour: what the log's episodes earned, by `Interval.of_resamples`, in the same unit.
+        unlike: u, between 0 and 1.
         members: of fitted Q.
         episodes: of the log.
         confidence: of both intervals.
         by: the four numbers.
+
+    Returns:
+        What the policy is worth beside the behaviour, in the same unit; as fitted Q says where the log earns nothing,
+        and so has no S.
     """
     error, size = error_and_size(difference, behaviour, members, episodes, confidence)
-    if size == 0.0:  # a log whose episodes earn nothing has no unit
+    if size == 0.0:
         return Shrunk(difference.value, error, 1.0)
     mean, error, weight = posterior(difference.value / size, error / size, unlike, by)
     return Shrunk(float(size * mean), float(size * error), float(weight))
@@ -103,7 +107,7 @@ def shrink(
 def error_and_size(
     difference: Interval, behaviour: Interval, members: int, episodes: int, confidence: float
 ) -> tuple[float, float]:
-    """s and S, from the intervals that `shrink` takes."""
+    """s and S, from the intervals that `shrink` takes, in their unit."""
     half, own = (0.5 * (each.high - each.low) for each in (difference, behaviour))
     tail = 0.5 + confidence / 2.0
     scatter = own / float(ndtri(tail)) * math.sqrt(episodes)
@@ -111,13 +115,16 @@ def error_and_size(
 
 
 def posterior(difference: Numbers, error: Numbers, unlike: Numbers, by: Shrinkage) -> tuple[Numbers, Numbers, Numbers]:
-    """m, sqrt( v ) and the weight of fitted Q; everything in units of S, numbers or arrays of one shape.
+    """What is known of D once fitted Q has spoken; in units of S, numbers or arrays of one shape.
 
     Args:
         difference: d.
         error: s.
         unlike: u.
         by: the four numbers.
+
+    Returns:
+        m, sqrt( v ) and the weight of fitted Q.
     """
     expected, prior = -by.loss * unlike, by.prior**2
     said = np.square(error) + by.miss**2 + np.square(by.miss_unlike * unlike)

@@ -24,7 +24,7 @@ Known = tuple[Mapping[str, Any], int, float]
 
 
 def fitted(known: Sequence[Known]) -> "Shrinkage | None":
-    """The numbers that make the true values most probable; None without any."""
+    """The numbers that make the true values most probable; None where nothing is known."""
     from scipy.optimize import minimize
     from scipy.stats import t
 
