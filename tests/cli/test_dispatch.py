@@ -165,6 +165,19 @@ def test_every_command_has_help_without_jax():
     assert [name for name in names if f"usage: odaf {name} " not in done.stdout] == []
 
 
+def test_every_study_is_planned_without_what_extras_bring():
+    code = (
+        "import sys\n"
+        "for name in ('gymnasium', 'mujoco', 'gymnasium_robotics', 'matplotlib', 'jinja2', 'pyarrow', 'ray'):\n"
+        "    sys.modules[name] = None\n"  # importing it raises ImportError
+        "from odaf.studies.registry import STUDIES\n"
+        "for study in STUDIES.values():\n"
+        "    assert study.jobs(), study.name"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
 def test_a_mistake_leaves_the_process_with_code_2():
     done = odaf("data", "info", "no-such-file.h5")
     assert done.returncode == 2

@@ -9,7 +9,7 @@ import pytest
 from odaf.cli import main
 from odaf.cli.data import GenerateOptions
 from odaf.data import Dataset
-from odaf.environments.ant_maze_data import NAMES as ANT_MAZE_NAMES
+from odaf.environments.ant_maze_sets import NAMES as ANT_MAZE_NAMES
 from odaf.environments.locomotion_data import NAMES
 
 

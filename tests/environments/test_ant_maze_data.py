@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from odaf.data import Dataset
-from odaf.environments import ant_maze_data
 from odaf.environments.ant_maze import AntMaze
 from odaf.environments.ant_maze_acceptance import (
     LIMITS,
@@ -15,9 +14,10 @@ from odaf.environments.ant_maze_acceptance import (
     findings_of,
     statistics_of,
 )
-from odaf.environments.ant_maze_data import NAMES, SETS, columns_of, generate
+from odaf.environments.ant_maze_data import columns_of, generate
 from odaf.environments.ant_maze_map import ANT_MAZES
 from odaf.environments.ant_maze_recorder import Walk, ants_for, record
+from odaf.environments.ant_maze_sets import NAMES, SETS, MazeSet
 from odaf.environments.gaussian_policy import GaussianPolicy
 from odaf.environments.shipped_policies import Walker
 from odaf.errors import ConfigError
@@ -42,12 +42,12 @@ def walk_of(places: Any, goal: Any, arrived: bool = False, finished: bool = True
 def recorded() -> Dataset:
     """A walk and a piece of another."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(ant_maze_data.SETS, "antmaze-umaze", _short(SETS["antmaze-umaze"]))
+        patch.setitem(SETS, "antmaze-umaze", _short(SETS["antmaze-umaze"]))
         return generate("antmaze-umaze", 50, seed=3, walker=walker_of())
 
 
-def _short(chosen: ant_maze_data.MazeSet, steps: int = 30) -> ant_maze_data.MazeSet:
-    return ant_maze_data.MazeSet(chosen.maze, chosen.evaluation, chosen.environment, chosen.random_start, steps)
+def _short(chosen: MazeSet, steps: int = 30) -> MazeSet:
+    return MazeSet(chosen.maze, chosen.evaluation, chosen.environment, chosen.random_start, steps)
 
 
 def test_rows_are_exact_and_follow_one_another_up_to_the_end_of_their_walk(recorded):
@@ -91,7 +91,7 @@ def test_actions_are_the_walkers_with_noise_and_within_bounds():
 
 
 def test_one_seed_gives_the_same_bits_and_another_does_not(recorded, monkeypatch):
-    monkeypatch.setitem(ant_maze_data.SETS, "antmaze-umaze", _short(SETS["antmaze-umaze"]))
+    monkeypatch.setitem(SETS, "antmaze-umaze", _short(SETS["antmaze-umaze"]))
     again, other = (generate("antmaze-umaze", 50, seed=seed, walker=walker_of()) for seed in (3, 4))
     assert again.fingerprint() == recorded.fingerprint()
     assert (other.observations != recorded.observations).any()
@@ -162,7 +162,7 @@ def test_acceptance_notices_walkers_that_do_not_arrive_and_walks_of_one_row():
 
 @pytest.mark.parametrize("name", NAMES)
 def test_rewards_refer_to_a_goal_in_the_middle_of_those_that_evaluation_draws(name):
-    chosen: ant_maze_data.MazeSet = SETS[name]
+    chosen: MazeSet = SETS[name]
     environment = AntMaze(chosen.evaluation)
     goals = np.array([environment.reset(seed=seed)[1]["goal"] for seed in range(40)])
     np.testing.assert_allclose(goals.mean(axis=0), chosen.goal, atol=0.25)

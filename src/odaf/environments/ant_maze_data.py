@@ -5,8 +5,7 @@ at one goal, that of evaluation: the one that comes within 0.5 m of it earns 1 a
 does, and the ant begins anew. docs/reference/generated-data.md says how the sets differ from D4RL's.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
 from importlib.metadata import version
 from typing import Any
 
@@ -15,55 +14,15 @@ import numpy as np
 from odaf.data.dataset import Dataset
 from odaf.environments.ant_maze import AntMaze
 from odaf.environments.ant_maze_acceptance import acceptance_of, findings_of, statistics_of
-from odaf.environments.ant_maze_map import ANT_MAZES, GOAL_OFFSET
+from odaf.environments.ant_maze_map import ANT_MAZES
 from odaf.environments.ant_maze_recorder import ACTION_NOISE, Walk, ants_for, record
+from odaf.environments.ant_maze_sets import NAMES, SETS
 from odaf.environments.contact_margins import ContactMargins
 from odaf.environments.shipped_policies import Walker, shipped_walker
 from odaf.errors import ConfigError
 from odaf.training.progress import ProgressReport, Silent
 
 MARGINS: ContactMargins = "larger"  # the body of the public data
-
-
-@dataclass(frozen=True)
-class MazeSet:
-    """How a set is recorded.
-
-    Attributes:
-        maze: name in `ANT_MAZES` of the map with the goals of the walks.
-        evaluation: name of the map with the goal that rewards refer to.
-        environment: where policies of this set are evaluated.
-        random_start: whether walks begin anywhere, or in the start's cell.
-        steps: of a walk.
-    """
-
-    maze: str
-    evaluation: str
-    environment: str
-    random_start: bool
-    steps: int
-
-    @property
-    def goal(self) -> tuple[float, float]:
-        """(x, y) that rewards refer to: the mean of the goals that evaluation draws."""
-        maze = ANT_MAZES[self.evaluation]
-        x, y = maze.centre(maze.goals[0])
-        return x + GOAL_OFFSET, y + GOAL_OFFSET
-
-
-def _sets(size: str, identity: str, steps: int, collections: Mapping[str, tuple[str, bool]]) -> dict[str, MazeSet]:
-    return {
-        f"antmaze-{name}": MazeSet(maze, size, f"odaf/AntMaze-{identity}-v0", random_start, steps)
-        for name, (maze, random_start) in collections.items()
-    }
-
-
-SETS: Mapping[str, MazeSet] = {
-    **_sets("umaze", "UMaze", 700, {"umaze": ("umaze", False), "umaze-diverse": ("umaze-diverse", True)}),
-    **_sets("medium", "Medium", 1000, {name: (name, True) for name in ("medium-play", "medium-diverse")}),
-    **_sets("large", "Large", 1000, {name: (name, True) for name in ("large-play", "large-diverse")}),
-}
-NAMES = tuple(SETS)
 
 
 def generate(

@@ -84,7 +84,7 @@ def coverage(dataset: "Dataset") -> dict[str, Any]:
 
 def of_mazes(records: Sequence[Record]) -> list[Record]:
     """Those of the ant mazes, in the order of their names."""
-    from odaf.environments.ant_maze_data import NAMES
+    from odaf.environments.ant_maze_sets import NAMES
 
     found = {record["name"]: record for record in records}
     return [found[name] for name in NAMES if name in found]

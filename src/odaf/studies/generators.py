@@ -96,7 +96,7 @@ class Recording(Work):
 
 def plan() -> list[Phase]:
     """A phase for each robot, with the sets that have their policies, and one for the ants in mazes."""
-    from odaf.environments.ant_maze_data import NAMES as MAZES
+    from odaf.environments.ant_maze_sets import NAMES as MAZES
     from odaf.environments.locomotion_data import NAMES, split_name
 
     phases: dict[str, list[Job]] = {}
