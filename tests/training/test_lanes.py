@@ -173,6 +173,39 @@ def test_a_program_is_made_smaller_until_the_memory_holds_it(monkeypatch):
         engine._that_fits(Program, 16)
 
 
+def test_a_run_whose_program_was_made_smaller_keeps_its_width(tiny, logs, tmp_path, monkeypatch, capsys):
+    """Gone on with alone it meets the lanes that the memory held when it was begun, not those asked for."""
+    begun, unbroken = _plans(tiny, logs, tmp_path / "begun"), _plans(tiny, logs, tmp_path / "unbroken")
+    asked = []
+
+    def held(most):
+        def fitting(compile_for, width):
+            asked.append(width)
+            return min(width, most), compile_for(min(width, most))
+
+        monkeypatch.setattr(engine, "_that_fits", fitting)
+
+    held(3)
+    _train(tiny, unbroken)
+    _train(tiny, begun, steps=8)
+    for plan in begun:
+        config = RunDirectory(plan.directory).config
+        assert (config["lanes"], config["lanes_that_fit"]) == (8, 3)
+    held(8)  # one run's rows alone would leave room for all
+    plan = begun[1]
+    odaf.resume(plan.directory, 12, dataset=plan.dataset, evaluate=tiny.TinyEvaluator(every=4), progress=False)
+    assert asked == [8, 8, 3]
+    for seed in SETTINGS["seeds"]:
+        states = [RunDirectory(runs[1].directory).state(seed) for runs in (begun, unbroken)]
+        for one, two in zip(*map(jax.tree.leaves, states), strict=True):
+            np.testing.assert_array_equal(one, two)
+    held(2)
+    plan = begun[2]
+    odaf.resume(plan.directory, 12, dataset=plan.dataset, evaluate=tiny.TinyEvaluator(every=4), progress=True)
+    assert "begunin" + "aprogramof3lanes,andthismemoryholds2" in "".join(capsys.readouterr().err.split())
+    assert RunDirectory(plan.directory).config["lanes_that_fit"] == 2
+
+
 def test_combinations_are_named_by_what_sets_them_apart(tiny, tmp_path):
     for name in ("a", "b"):
         tiny.tiny_dataset().save(tmp_path / f"{name}.h5")

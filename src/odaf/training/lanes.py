@@ -29,6 +29,7 @@ from odaf.data.transitions import Transitions
 from odaf.errors import ConfigError, OdafError
 from odaf.training import loop, run_directory
 from odaf.training.combined_progress import CombinedProgress, SeedReport
+from odaf.training.files import write_json
 from odaf.training.interrupts import held_back
 from odaf.training.logging import Logger
 from odaf.training.memory import forget_programs_in_time, give_back_freed_memory
@@ -39,6 +40,8 @@ from odaf.training.widths import PaddedState, Widths, widths_of, with_widths
 
 # Share of an accelerator's memory that a program may take.
 _SHARE_OF_MEMORY = 0.9
+# Field of `config.json` of a run whose program has fewer lanes than `lanes` says.
+_FITTED = "lanes_that_fit"
 # Side models that are trained together: each has the rows that it learns from, and those may be many.
 _BEGUN_AT_ONCE = 32
 
@@ -88,7 +91,11 @@ def train_in_lanes(
         KeyboardInterrupt: somebody pressed Ctrl-C, or `asked_to_stop` says so; all lanes are saved first.
     """
     report.start(f"{len(lanes)} lanes: compiling", 0)
-    program = _Program(lanes, width)
+    program = _Program(
+        lanes, min((fitted for lane in lanes if (fitted := lane.seed.run.config.get(_FITTED))), default=width)
+    )
+    if program.width < width:
+        _keep_width(lanes, program.width, report)
     parts = [lanes[start : start + program.width] for start in range(0, len(lanes), program.width)]
     if len(parts) > 1:
         report.message(f"{len(lanes)} trainings take turns in a program of {program.width} lanes")
@@ -298,6 +305,19 @@ def _that_fits(compile_for: Callable[[int], Any], width: int) -> tuple[int, Any]
         most = max(1, min(width - 1, int(width * allowed / needed)))  # memory grows with the lanes
         turns = -(-asked // most)
         width = -(-asked // turns)
+
+
+def _keep_width(lanes: Sequence[Lane], width: int, report: ProgressReport) -> None:
+    """Notes how many lanes the memory held, so that a run that is gone on with alone meets a program of as many."""
+    for run in {lane.seed.run.path: lane.seed.run for lane in lanes}.values():
+        known = run.config.get(_FITTED)
+        if known is not None and known != width:
+            report.message(
+                f"{run.path}: was begun in a program of {known} lanes, and this memory holds {width}; the run goes on, "
+                "but not with the bits of an unbroken one"
+            )
+        if known != width:
+            write_json(run.path / "config.json", {**run.config, _FITTED: width})
 
 
 def _in_words(lanes: Sequence[Lane]) -> str:
