@@ -42,11 +42,23 @@ def test_derivatives_of_a_normalised_network_are_those_of_its_values(members):
         network = _network(norm="layer", activation="silu", members=members)
         rows = jnp.asarray(np.random.default_rng(1).normal(size=(7, 4)))
 
-        def values(*arguments):  # the checker hands over NumPy's arrays
-            network, rows = jax.tree.map(jnp.asarray, arguments)
+        def as_arrays(function):  # the checker hands over NumPy's arrays
+            return jax.jit(lambda *arguments: function(*jax.tree.map(jnp.asarray, arguments)))
+
+        def values(network, rows):
             return network(rows)
 
-        check_grads(jax.jit(values), (network, rows), order=2, atol=1e-6, rtol=1e-6)
+        def by_pullback(network, rows):
+            return jax.vjp(values, network, rows)[1](along_values)
+
+        def by_pushforward(network, rows):
+            return jax.jvp(values, (network, rows), along_arguments)[1]
+
+        rng = np.random.default_rng(2)
+        along_values = jnp.asarray(rng.normal(size=jax.eval_shape(values, network, rows).shape))
+        along_arguments = jax.tree.map(lambda leaf: jnp.asarray(rng.normal(size=leaf.shape)), (network, rows))
+        for function in (values, by_pullback, by_pushforward):
+            check_grads(as_arrays(function), (network, rows), order=1, atol=1e-6, rtol=1e-6, eps=1e-5)
 
 
 def test_single_precision_stays_close_to_the_formula():
