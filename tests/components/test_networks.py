@@ -111,18 +111,18 @@ def test_rounded_products_round_their_factors_and_nothing_else(shape, products):
         x = rows if rows.ndim == 2 else rows[k]
         first = np.maximum(x @ w[0] + b[0], 0.0)
         second = np.maximum(_rounded(first, products) @ _rounded(w[1], products) + b[1], 0.0)
-        np.testing.assert_allclose(values[k], (second @ w[2] + b[2])[:, 0], atol=2e-3)
+        np.testing.assert_allclose(values[k], (second @ w[2] + b[2])[:, 0], atol=3e-6)
         back = (slopes[k][:, None] @ w[2].T) * (second > 0.0)
         np.testing.assert_allclose(
-            gradient.weights[1][k], _rounded(first, products).T @ _rounded(back, products), atol=2e-4
+            gradient.weights[1][k], _rounded(first, products).T @ _rounded(back, products), atol=3e-6
         )
         through = (_rounded(back, products) @ _rounded(w[1], products).T) * (first > 0.0)
-        np.testing.assert_allclose(gradient.weights[0][k], x.T @ through, atol=1e-3)
+        np.testing.assert_allclose(gradient.weights[0][k], x.T @ through, atol=3e-6)
         if rows.ndim == 2:
             row_sums += through @ w[0].T
         else:
             row_sums[k] = through @ w[0].T
-    np.testing.assert_allclose(row_gradient, row_sums, atol=1e-3)
+    np.testing.assert_allclose(row_gradient, row_sums, atol=3e-6)
 
 
 @pytest.mark.parametrize("products", ["bfloat16", "tensorfloat32"])
