@@ -50,6 +50,13 @@ def members_mean(model: Line, batch, key):
     return jnp.square(model.weight), {"first": jnp.mean(batch[0][0]), "second": jnp.mean(batch[0][1])}
 
 
+def members_error(model: Line, batch, key):
+    """The members' squared errors, each on its own batch."""
+    del key
+    x, y = batch
+    return jnp.sum(jnp.mean(jnp.square(model.weight[:, None] * x + model.offset[:, None] - y), axis=1)), {}
+
+
 SAME_ROWS = (jnp.full(8, 2.0), jnp.full(8, 3.0))  # so that it does not matter which are drawn
 GIVEN = {"steps": 3, "batch_size": 4, "learning_rate": 0.1, "key": jr.key(0), "what": "line", "remedy": "lower it"}
 QUIET = {**GIVEN, "progress": lambda done, steps: None}
@@ -149,6 +156,23 @@ def test_each_member_draws_from_its_own_rows():
     # a sample with replacement of n rows has about 0.63 n different ones; 0.45 and 0.8 are five deviations away
     assert all(0.45 < len(set(part)) / 50 < 0.8 for part in parts)
     assert not np.array_equal(parts[0], parts[1])
+
+
+def test_a_part_of_an_ensemble_is_fitted_as_among_all():
+    members, rows = 4, 30
+    columns = tuple(jr.normal(key, (rows,)) for key in jr.split(jr.key(1)))
+    table = bootstrap_rows(jr.key(2), members, rows, rows)
+    ensemble = Line(jnp.linspace(-1.0, 1.0, members), jnp.zeros(members))
+
+    def fitted(first, last):
+        some = jax.tree.map(lambda leaf: leaf[first:last], ensemble)
+        settings = {**QUIET, "steps": 5, "bootstraps": table, "rows": rows, "members": last - first}
+        return fit(some, members_error, columns, part_of=(first, members), **settings).model
+
+    whole = fitted(0, members)
+    for first, last in ((0, 1), (1, 3), (3, 4)):
+        for part, known in zip(jax.tree.leaves(fitted(first, last)), jax.tree.leaves(whole), strict=True):
+            np.testing.assert_allclose(part, known[first:last], rtol=1e-6)
 
 
 def test_early_stopping_keeps_the_best_and_stops_after_so_many_checks_without_a_better_one():

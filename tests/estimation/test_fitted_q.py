@@ -49,6 +49,26 @@ def test_fitted_q_finds_the_known_values_of_two_policies_at_two_discounts(ends: 
         np.testing.assert_allclose(last, [[action - 0.5, action + 0.5]] * 2, atol=0.08)
 
 
+def test_networks_that_are_fitted_side_by_side_are_those_of_one_program(monkeypatch: pytest.MonkeyPatch):
+    dataset, members = gliding(20, True), 3
+    log = Evidence(dataset, HORIZON, (1.0, 0.8), dataclasses.replace(SMALL, members=members), jr.key(0))
+    policies = np.random.default_rng(0).uniform(-1.0, 1.0, (2, len(dataset), 2, 1)).astype(np.float32)
+    states, steps = dataset.observations[:5], np.array([1, 2, 3, 4, 5])
+    found = []
+    for parts in (1, 2, 6):
+        monkeypatch.setattr(fitted_q, "parts_of", lambda nets, parts=parts: parts)
+        settings = dataclasses.replace(SMALL, steps=40).fitting()
+        both = fit_q(
+            log.rows(), policies, log.member_rows, HORIZON, (1.0, 0.8), jr.key(1), members=members,
+            progress=lambda done, total: None, **settings,
+        )  # fmt: skip
+        values = [each.values(states, policies[number, :5], steps) for number, each in enumerate(both)]
+        found.append((np.stack(values), both[0].loss))
+    for values, loss in found[1:]:
+        np.testing.assert_allclose(values, found[0][0], rtol=1e-4, atol=1e-5)
+        assert loss == pytest.approx(found[0][1], rel=1e-5)
+
+
 def test_a_deterministic_policy_is_judged_by_fitted_q_alone_and_named():
     dataset = gliding(200, ends=True)
     policy = constant(dataset)

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import jax.random as jr
 import numpy as np
 import optax
-from jaxtyping import Array, Bool, Float, Int, Integer, PRNGKeyArray, PyTree
+from jaxtyping import Array, Bool, Float, Int, Integer, PRNGKeyArray, PyTree, Shaped
 
 from odaf.components import together
 from odaf.components.adam import adam_step, cosine_fall, initial_moments
@@ -78,6 +78,7 @@ class _Recipe(NamedTuple):
     loss: Loss
     batch_size: int
     members: int | None
+    ensemble: int | None
     schedule: Schedule
     noisy: bool
     decays: bool
@@ -107,6 +108,7 @@ def fit(
     rows: int | None = None,
     bootstraps: Integer[Array, " entries"] | None = None,
     members: int | None = None,
+    part_of: tuple[int, int] | None = None,
     trainable: PyTree | None = None,
     slow_rate: float | None = None,
     weight_decay: float = 0.0,
@@ -134,6 +136,9 @@ def fit(
         rows: how many of the columns' rows are drawn from, from the first on; None all. The rest may be for `stopping`.
         bootstraps: of `bootstrap_rows`: each member draws from rows of its own, and batches have an axis of members.
         members: how many members `bootstraps` are for.
+        part_of: (the first member's number, members in all) where these are some of an ensemble whose others are fitted
+            by calls of their own: each draws the batches that it has where all are fitted in one call, and `bootstraps`
+            are those of all.
         trainable: a tree of booleans in the model's structure; the rest stays as it is. None trains all real numbers.
         slow_rate: share of the model that enters a slow copy of it after each step; the loss is then called with that
             copy too, under the name `slow`. None keeps no copy.
@@ -154,8 +159,10 @@ def fit(
     assert not averages or (slow_rate is None and stopping is None), "an average stands in place of both"
     has_copy = averages or slow_rate is not None
     state = _State(parameters, initial_moments(parameters), copy_of(parameters) if has_copy else None)
-    recipe = _Recipe(loss, batch_size, members, schedule, noisy, weight_decay > 0.0, averages, stretch)
+    first, ensemble = (0, members) if part_of is None else part_of
+    recipe = _Recipe(loss, batch_size, members, ensemble, schedule, noisy, weight_decay > 0.0, averages, stretch)
     numbers = {
+        "first": _number(first),  # member
         "learning_rate": jnp.asarray(learning_rate, jnp.float32),
         "turn": jnp.asarray(np.float32(np.pi) * (np.float32(1.0) / np.float32(steps))),  # of the cosine, a step
         "slow_rate": jnp.asarray(slow_rate or 0.0, jnp.float32),
@@ -204,6 +211,17 @@ def bootstrap_rows(key: PRNGKeyArray, members: int, rows: int, among: int) -> In
     return jr.randint(key, (members * among,), 0, _number(rows))
 
 
+def own(drawn: Shaped[Array, "ensemble *rest"], first: Int[Array, ""], members: int) -> Shaped[Array, "members *rest"]:
+    """What belongs to some of an ensemble's members, of what was drawn for all.
+
+    Args:
+        drawn: with a leading axis of all members.
+        first: number of the first of them.
+        members: how many they are.
+    """
+    return drawn if len(drawn) == members else jax.lax.dynamic_slice_in_dim(drawn, first, members)
+
+
 def of_rows(function: OfRows, model: Any, columns: Batch, first: int = 0, last: int | None = None) -> np.ndarray:
     """What a function says of each of the rows from `first` on, worked through in blocks of one shape.
 
@@ -236,17 +254,22 @@ def _stretch(
     columns: Batch,
     bootstraps: Integer[Array, " entries"] | None,
     rows: Int[Array, ""],
-    numbers: dict[str, Float[Array, ""]],
+    numbers: dict[str, Array],
     key: PRNGKeyArray,
 ) -> tuple[_State, dict[str, Float[Array, " stretch"]]]:
     """The steps from the first to the last, at most a stretch of them, and the loss and its figures on the way."""
     first, last = steps
 
     def batch_of(key: PRNGKeyArray) -> Batch:
-        shape = (recipe.batch_size,) if recipe.members is None else (recipe.members, recipe.batch_size)
-        picked = jr.randint(key, shape, 0, rows)
+        if recipe.members is None:
+            picked = jr.randint(key, (recipe.batch_size,), 0, rows)
+        else:
+            picked = own(
+                jr.randint(key, (recipe.ensemble, recipe.batch_size), 0, rows), numbers["first"], recipe.members
+            )
         if bootstraps is not None:
-            picked = bootstraps[jnp.arange(shape[0])[:, None] * rows + picked]
+            members = numbers["first"] + jnp.arange(picked.shape[0])
+            picked = bootstraps[members[:, None] * rows + picked]
         return tuple(column[picked] for column in columns)
 
     @jax.jit  # so that it is traced once for both of its uses

@@ -23,6 +23,7 @@ not yet learnt what follows contradict themselves least, so over long horizons i
 docs/reference/estimates.md says what it did where values are known.
 """
 
+import functools
 from dataclasses import dataclass
 
 import equinox as eqx
@@ -32,8 +33,9 @@ import jax.random as jr
 import numpy as np
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
-from odaf.components.fitting import Batch, EarlyStopping, Progress, fit, of_rows
+from odaf.components.fitting import Batch, EarlyStopping, Fitted, Progress, fit, of_rows, own
 from odaf.components.networks import MLP, init_mlp
+from odaf.components.threads import in_threads, parts_of
 from odaf.estimation.recorded import discounted_steps
 
 SLOW_RATE = 0.1  # a slower copy carries rewards back over too few steps: docs/reference/estimates.md
@@ -43,14 +45,16 @@ MOST_HELD_OUT = 4_096  # rows
 
 
 class FiniteHorizonQ(eqx.Module):
-    """q of every network, policy after policy, and what belongs to it."""
+    """q of every network, policy after policy, or of some of them, and what belongs to it."""
 
     networks: MLP
+    first: Int[Array, ""]  # number of the first of these networks
     next_actions: Float[Array, "policies _logged _draws _act"]  # none once it is fitted
     sums: Float[Array, "discounts _lengths"]  # n_h for h from 0 to H
     discounts: Float[Array, " discounts"]
     low: Float[Array, " 2"]  # the range that rewards, and ones, allow for q
     high: Float[Array, " 2"]
+    members: int = eqx.field(static=True)  # networks of each policy
 
     @property
     def horizon(self) -> int:
@@ -205,43 +209,56 @@ def fit_q(
         stopping = EarlyStopping(_bellman_error, len(scaled), len(scaled) + len(aside), patience)
         columns = tuple(jnp.concatenate([column, column[aside]]) for column in columns)
     policies, inputs = len(next_actions), rows.observations.shape[1] + rows.actions.shape[1] + 1 + len(discounts)
+    nets = policies * members
     model = FiniteHorizonQ(
-        init_mlp(key_init, (inputs, *hidden_sizes, 2 * len(discounts)), members=policies * members, hidden_bias=0.0),
+        init_mlp(key_init, (inputs, *hidden_sizes, 2 * len(discounts)), members=nets, hidden_bias=0.0),
+        jnp.asarray(0, jnp.int32),
         jnp.asarray(next_actions, jnp.float32),
         jnp.asarray([discounted_steps(horizon, discount) for discount in discounts], jnp.float32),
         jnp.asarray(discounts, jnp.float32),
         jnp.asarray([min(float(scaled.min()), 0.0), 0.0], jnp.float32),
         jnp.asarray([max(float(scaled.max()), 0.0), 1.0], jnp.float32),
+        members,
     )
     nothing = jax.tree.map(lambda _: False, model)
-    fitted = fit(
-        model,
-        _loss,
-        columns,
-        rows=len(member_rows) // members,
-        bootstraps=jnp.asarray(np.tile(member_rows, policies), jnp.int32),
-        members=policies * members,
-        trainable=eqx.tree_at(lambda tree: tree.networks, nothing, jax.tree.map(lambda _: True, model.networks)),
-        slow_rate=SLOW_RATE,
-        steps=steps,
-        batch_size=batch_size,
-        learning_rate=learning_rate,
-        stretch=min(steps, STRETCH),
-        schedule="cosine",
-        stopping=stopping,
-        key=key_fit,
-        progress=progress,
-        what="fitted Q evaluation",
-        remedy="lower learning_rate, or check the log for outliers with `odaf data check`",
-    )
-    loss = fitted.means["loss"] / (policies * members)
-    small = eqx.tree_at(lambda tree: tree.next_actions, fitted.model, fitted.model.next_actions[:, :0])
+    trainable = eqx.tree_at(lambda tree: tree.networks, nothing, jax.tree.map(lambda _: True, model.networks))
+    bootstraps = jnp.asarray(np.tile(member_rows, policies), jnp.int32)
+    parts = 1 if stopping else parts_of(nets)  # which stops all by the mean error of all
+
+    def part(first: int, progress: Progress) -> Fitted[FiniteHorizonQ]:
+        return fit(
+            _of_networks(model, first, nets // parts),
+            _loss,
+            columns,
+            rows=len(member_rows) // members,
+            bootstraps=bootstraps,
+            members=nets // parts,
+            part_of=(first, nets),
+            trainable=trainable,
+            slow_rate=SLOW_RATE,
+            steps=steps,
+            batch_size=batch_size,
+            learning_rate=learning_rate,
+            stretch=min(steps, STRETCH),
+            schedule="cosine",
+            stopping=stopping,
+            key=key_fit,
+            progress=progress,
+            what="fitted Q evaluation",
+            remedy="lower learning_rate, or check the log for outliers with `odaf data check`",
+        )
+
+    firsts = range(0, nets, nets // parts)
+    fitted = in_threads([functools.partial(part, first) for first in firsts], progress)
+    loss = sum(each.means["loss"] for each in fitted) / nets
+    networks = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *[each.model.networks for each in fitted])
+    small = eqx.tree_at(lambda tree: (tree.networks, tree.next_actions), model, (networks, model.next_actions[:, :0]))
     return [FittedQ(_of_networks(small, policy * members, members), shift, scale, loss) for policy in range(policies)]
 
 
-def _of_networks(model: FiniteHorizonQ, first: int, members: int) -> FiniteHorizonQ:
-    own = jax.tree.map(lambda leaf: leaf[first : first + members], model.networks)
-    return eqx.tree_at(lambda tree: tree.networks, model, own)
+def _of_networks(model: FiniteHorizonQ, first: int, count: int) -> FiniteHorizonQ:
+    some = jax.tree.map(lambda leaf: leaf[first : first + count], model.networks)
+    return eqx.tree_at(lambda tree: (tree.networks, tree.first), model, (some, jnp.asarray(first, jnp.int32)))
 
 
 def _loss(
@@ -249,10 +266,12 @@ def _loss(
 ) -> tuple[Float[Array, ""], dict[str, Float[Array, ""]]]:
     numbers, observations, actions, rewards, terminated, next_observations = batch
     key_steps, key_draw = jr.split(key)
-    steps = jr.randint(key_steps, rewards.shape, 1, model.horizon + 1)
     policies, _, draws, _ = model.next_actions.shape
-    policy = jnp.arange(len(rewards)) // (len(rewards) // policies)
-    draw = jr.randint(key_draw, rewards.shape, 0, draws)
+    nets, size = rewards.shape
+    everyone = policies * model.members, size
+    steps = own(jr.randint(key_steps, everyone, 1, model.horizon + 1), model.first, nets)
+    draw = own(jr.randint(key_draw, everyone, 0, draws), model.first, nets)
+    policy = (model.first + jnp.arange(nets)) // model.members
     chosen = model.next_actions[policy[:, None], numbers, draw]
     targets = model.targets(slow, rewards, terminated, next_observations, chosen, steps)
     errors = jnp.square(model.means(observations, actions, steps) - jax.lax.stop_gradient(targets))
@@ -262,8 +281,8 @@ def _loss(
 def _bellman_error(model: FiniteHorizonQ, batch: Batch) -> Float[Array, " rows"]:
     """Mean over networks and outputs, each row with a number of steps of its own."""
     numbers, observations, actions, rewards, terminated, next_observations = batch
-    nets, policies = model.networks.weights[0].shape[0], model.next_actions.shape[0]
-    chosen = jnp.repeat(model.next_actions[:, numbers, 0], nets // policies, axis=0)
+    nets = model.networks.weights[0].shape[0]
+    chosen = jnp.repeat(model.next_actions[:, numbers, 0], model.members, axis=0)
     steps = 1 + numbers * ODD % model.horizon
     rewards, terminated, next_observations, steps, observations, actions = (
         jnp.broadcast_to(column[None], (nets, *column.shape))
