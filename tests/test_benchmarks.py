@@ -21,7 +21,7 @@ from benchmarks import lanes_trace, learners, operations, parts, updates_per_sec
 SCRIPTS = {
     "acting": ["--rounds", "2", "--calls", "2"],
     "deployed": ["--rounds", "2", "--calls", "2"],
-    "fitted_q": ["--rows", "3000", "--steps", "2", "--width", "8", "--batch", "8", "--rounds", "1"],
+    "fitted_q": ["--rows", "3000", "--steps", "2", "--sizes", "2:8:8", "--rounds", "1"],
     "load_dataset": ["--rows", "3000"],
     "import_table": ["--rows", "3000"],
     "first_update": ["--rows", "3000", "--learners", "sac-n", "--updates", "2"],
