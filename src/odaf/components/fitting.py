@@ -261,7 +261,7 @@ def _stretch(
     first, last = steps
 
     def batch_of(key: PRNGKeyArray) -> Batch:
-        if recipe.members is None:
+        if recipe.members is None or recipe.ensemble is None:
             picked = jr.randint(key, (recipe.batch_size,), 0, rows)
         else:
             picked = own(
