@@ -85,6 +85,50 @@ def test_the_weight_goes_linearly_to_its_last_value():
     assert [float(each["behaviour/weight"]) for each in losses] == pytest.approx([0.5, 0.1])
 
 
+def test_learned_advantages_take_over_after_so_many_updates():
+    """Then the actor learns from the critics' rows, and is held to logged actions that these put above its own."""
+    with tiny.exactly():
+        early, state, batch = _setting(BehaviourDistance(weight=0.4))
+        learner = dataclasses.replace(early, advantage_after=3)
+        apart = dataclasses.replace(batch, actor=tiny.batch(seed=9, extras=EXTRAS))
+        later = dataclasses.replace(state, step=state.step + 3)
+
+        def after(learner, state, batch):
+            return jax.jit(learner.update)(state, batch, jr.key(3))
+
+        def same(one, other):
+            pairs = zip(jax.tree.leaves(one.actor.now), jax.tree.leaves(other.actor.now), strict=True)
+            return all(np.array_equal(a, b) for a, b in pairs)
+
+        before, metrics = after(learner, dataclasses.replace(state, step=state.step + 2), apart)
+        assert same(before, after(early, state, apart)[0]) and float(metrics["behaviour/counted"]) == 1.0
+        switched, metrics = after(learner, later, apart)
+        assert same(switched, after(learner, later, batch)[0]) and not same(switched, before)
+        assert 0.0 < float(metrics["behaviour/counted"]) < 1.0
+
+        with tiny.recorded() as drawn:
+            loss, (_, metrics) = learner.actor_loss(state.actor.now, later, batch, jr.key(3))
+        actions, _ = networks.act(state.actor.now, batch.observations, drawn[0])
+        own, logged = (
+            networks.q_values(state.online_critics, batch.observations, each).min(axis=0)
+            for each in (actions, batch.actions)
+        )
+        counted = logged > own
+        distances = _distance(networks.mode(state.actor.now, batch.observations), batch.actions)
+        bare = soft_actor_critic.actor_loss(
+            state.actor.now, state.online_critics, state.log_temperature.now, batch, drawn[0]
+        )
+        expected = bare + 0.4 * np.abs(own).mean() * (counted * distances).mean()
+        np.testing.assert_allclose(loss, expected, rtol=1e-9)
+        np.testing.assert_allclose(metrics["behaviour/counted"], counted.mean())
+
+
+@pytest.mark.parametrize(("updates", "terms"), [(-1, (TERM,)), (5, ()), (5, (BehaviourDistance(weight=0.0),))])
+def test_learned_advantages_need_a_behaviour_term(updates, terms):
+    with pytest.raises(ConfigError, match="advantage_after"):
+        EnsembleSAC(advantage_after=updates, terms=terms)
+
+
 def test_only_the_targets_part_asks_for_the_next_logged_actions():
     both, alone = (EnsembleSAC(terms=(BehaviourDistance(target_weight=weight),)) for weight in (0.1, 0.0))
     assert both.view().extras == EXTRAS and alone.view().extras == ()

@@ -41,6 +41,27 @@ OPTIONS = {
 each_option = pytest.mark.parametrize("options", OPTIONS.values(), ids=OPTIONS)
 
 
+@pytest.mark.parametrize("kind", ["deterministic", "ensemble"])
+@pytest.mark.parametrize("next_action", ["sample", "mode"])
+def test_the_target_loses_the_uncertainty_of_the_next_actions_outcome(kind, next_action):
+    """Of every row, whatever num_states, at the state itself, by the slow critics."""
+    with tiny.exactly():
+        options = {"target_weight": 0.7, "next_action": next_action, "num_states": 4, "dynamics": {"kind": kind}}
+        term, context, side = _setting(options)
+        actions = jr.uniform(jr.key(2), (tiny.ROWS, tiny.ACT_DIM), minval=-1.0)
+        found = term.target_penalty(context, side, actions, jnp.zeros(tiny.ROWS), jr.key(KEY))
+        _, for_model, for_action = term._draw_noise(side, tiny.ROWS, tiny.ACT_DIM, jr.key(KEY))
+        outcomes = dynamics.PREDICT[kind](side, networks.numbers(context.batch.next_observations), actions, for_model)
+        then = networks.mode(context.slow_actor, outcomes)
+        if next_action == "sample":
+            then, _ = networks.act(context.slow_actor, outcomes, for_action)
+        expected = 0.7 * networks.spread(networks.q_values(context.target_critics, outcomes, then), 0)
+        np.testing.assert_allclose(found, expected, rtol=1e-8)
+        assert np.all(found > 0.0)
+        off = dataclasses.replace(term, target_weight=0.0)
+        assert not np.any(off.target_penalty(context, side, actions, jnp.zeros(tiny.ROWS), jr.key(KEY)))
+
+
 def _setting(options, norm="layer"):
     """The term, its context and its dynamics model, all with random numbers everywhere."""
     config = tiny.dynamics_config(**options.get("dynamics", {}))

@@ -12,7 +12,9 @@ before it (the order of the EDAC, RORL and ODAF codes); then the slow copies mov
 Options of the base: with `target="member"` each member has a target of its own, its slow copy less `target_deviations`
 times the slow copies' disagreement (PBRL). With `return_steps` n above 1, r is the discounted sum of the next n logged
 rewards, s' the state n steps on, and the discount of the target its n-th power. `reward_scale` multiplies all rewards;
-`warm_start` fits the networks to the log before the first update.
+`warm_start` fits the networks to the log before the first update. With `advantage_after`, what the actor is held to
+changes in the middle: at first rows as they are drawn for it, by return for instance, then logged actions that the
+critics put above its own, of whatever episode.
 
 Differs from SAC-N by default: layer-normalised critics, targets clipped to the range that the rewards allow, and no
 entropy in the target. Each is a field. docs/reference/algorithms/odaf.md shows what each of them does.
@@ -29,7 +31,7 @@ import jax
 import jax.numpy as jnp
 import jax.random as jr
 import numpy as np
-from jaxtyping import Array, Float, PRNGKeyArray
+from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
 from odaf.algorithms import citations
 from odaf.algorithms.base import Metrics, PretrainProgress
@@ -257,6 +259,11 @@ class EnsembleSAC(EnsembleSettings):
         value = jnp.mean(values) / state.reward_scale
         metrics = {"actor/loss": loss, "actor/value": value, "actor/entropy": -jnp.mean(log_density)}
         context = self._context(state, batch, actor=actor, values=values)
+        if self.advantage_after:
+            logged = jnp.min(critics(batch.observations, batch.actions), axis=0)
+            counted = jnp.logical_or(self._is_early(state), logged > values).astype(values.dtype)
+            context = dataclasses.replace(context, counted=jax.lax.stop_gradient(counted))
+            metrics["behaviour/counted"] = jnp.mean(counted)
         for term, own in zip(self.active_terms, state.terms, strict=True):
             if term.acts_on_actor:
                 addition, more = term.actor_loss(context, own, _key_for(term, key))
@@ -269,7 +276,7 @@ class EnsembleSAC(EnsembleSettings):
         """Actor, temperature and critics step from the same old parameters; then the slow copies move."""
         key_actor, key_critic = jr.split(key)
         actor_gradient, (log_density, actor_metrics) = eqx.filter_grad(self.actor_loss, has_aux=True)(
-            state.actor.now, state, batch.for_actor, key_actor
+            state.actor.now, state, self._actor_rows(state, batch), key_actor
         )
         critic_gradient, critic_metrics = self.critic_gradient(state, batch, key_critic)
         temperature_gradient = jax.grad(temperature_loss)(state.log_temperature.now, log_density, state.target_entropy)
@@ -288,6 +295,17 @@ class EnsembleSAC(EnsembleSettings):
             ),
         )
         return new_state, metrics
+
+    def _actor_rows(self, state: EnsembleState, batch: Transitions) -> Transitions:
+        """Those drawn for it; after `advantage_after` updates those of the critics."""
+        if not self.advantage_after or batch.actor is None:
+            return batch.for_actor
+        early = self._is_early(state)
+        later = dataclasses.replace(batch, actor=None)
+        return jax.tree.map(lambda drawn, shared: jnp.where(early, drawn, shared), batch.actor, later)
+
+    def _is_early(self, state: EnsembleState) -> Bool[Array, ""]:
+        return state.step < self.advantage_after
 
     def actor(self, state: EnsembleState) -> GaussianActor:
         """The deployed one of pi and pi'."""

@@ -89,6 +89,10 @@ class EnsembleSettings(Algorithm[EnsembleState]):
     target_entropy: Literal["log"] | float | None = None
     """Entropy in nats that alpha steers to; None gives minus the number of action dimensions, "log" the entropy of the
     actor that the warm start fits to the logged actions."""
+    advantage_after: int = 0
+    """Updates after which learned advantages take the place of what chose the actor's rows before, such as returns: the
+    actor learns from the critics' rows (`critic_sampling`), and the behaviour term counts those alone whose logged
+    action the critics put above the actor's own. 0 is never."""
     terms: tuple[Term, ...] = ()
     """Additions to the losses."""
 
@@ -107,6 +111,13 @@ class EnsembleSettings(Algorithm[EnsembleState]):
         require_counts(self, ("batch_size", "return_steps", "warm_start_steps"))
         if any(width < 1 for width in self.hidden_sizes):
             raise ConfigError(f"hidden_sizes={self.hidden_sizes} must hold widths of at least 1")
+        if self.advantage_after < 0:
+            raise ConfigError(f"advantage_after={self.advantage_after} must not be negative; 0 is never")
+        if self.advantage_after and not any(term.name == "behaviour" for term in self.active_terms):
+            raise ConfigError(
+                f"advantage_after={self.advantage_after} is read by the term behaviour, which is not there; add it, or "
+                "set advantage_after=0"
+            )
         for term in self.active_terms:
             if term.needs_next_state and self.return_steps > 1:
                 raise ConfigError(

@@ -24,6 +24,8 @@ BY_LOG: Changes = (("return_temperature", "auto"),)
 STEADY: Changes = (("sampling", "return"), *BY_LOG, ("warm_start_rows", "drawn"), *AVERAGED)
 FADING: Changes = (("behaviour.weight", 0.4), ("behaviour.final_weight", 0.05), ("behaviour.decay_updates", 15_000))
 
+ADVANTAGES: Changes = (("critic_sampling", "uniform"), ("advantage_after", 10_000))
+
 # Cheap ones first.
 CANDIDATES: tuple[Method, ...] = (
     ("odaf-anchored", ()),
@@ -33,6 +35,8 @@ CANDIDATES: tuple[Method, ...] = (
     ("odaf-light", (("sampling", "uniform"),)),
     ("odaf-light", (("return_temperature", 0.1),)),
     ("odaf-light", FADING),
+    ("odaf-light", ADVANTAGES),
+    ("odaf-light", (("outcome.target_weight", 1.0),)),
     ("odaf-light-without-outcome", ()),
     ("odaf-anchored-without-outcome", ()),
     ("odaf-locomotion", STEADY),
@@ -57,6 +61,8 @@ SLOW: tuple[Method, ...] = (("odaf-locomotion", ()), ("rebrac", ()))
 
 PARTS: tuple[tuple[str, object], ...] = (
     ("outcome.weight", 0.0),
+    ("outcome.target_weight", 0.0),
+    ("advantage_after", 0),
     ("behaviour.weight", 0.0),
     ("ood.weight", 0.0),
     ("averaged_updates", 0),

@@ -30,6 +30,7 @@ class Context(eqx.Module):
     value_bounds: Float[Array, "2"]  # smallest and largest target; infinite when targets are not clipped
     step: Int[Array, ""]
     values: Float[Array, " rows"] | None = None  # in the actor's loss: those that the actor climbs, at its own actions
+    counted: Float[Array, " rows"] | None = None  # there too: 1.0 where the logged action is to be followed; None: all
 
 
 class Term(abc.ABC):

@@ -9,7 +9,9 @@ Squared distances are summed over action dimensions.
 
 The rows are those of the learner's batches: drawn by return, the term holds the policy to what good episodes did. Where
 critics draw apart, the actor's are its own. weight_t goes from `weight` to `final_weight` within `decay_updates`: clone
-first, then improve.
+first, then improve. After the learner's `advantage_after` updates, rows count whose logged action the critics put above
+the policy's own (the "Q-filter" of Nair et al. 2018, "Overcoming Exploration in Reinforcement Learning with
+Demonstrations"); the mean is still one over all rows.
 
 Differs from ReBRAC in the policy, which is a squashed Gaussian: the actor's distance is that of its mode, so that the
 term leaves the spread of the draws to the entropy bonus; the target's is that of the draw whose value it takes.
@@ -80,7 +82,8 @@ class BehaviourDistance(Term):
         """L_b; its gradient reaches the actor only."""
         del state, key
         assert context.values is not None  # the actor's loss has them
-        distance = jnp.mean(squared_distance(context.actor.mode(context.batch.observations), context.batch.actions))
+        distances = squared_distance(context.actor.mode(context.batch.observations), context.batch.actions)
+        distance = jnp.mean(distances if context.counted is None else context.counted * distances)
         size = jax.lax.stop_gradient(jnp.mean(jnp.abs(context.values)))
         weight = self.weight_at(context.step)
         return weight * size * distance, {"behaviour/distance": distance, "behaviour/weight": weight}

@@ -4,7 +4,9 @@
     U(s')  = std_k Q_k(s', a'),                                       a' ~ pi'(s')
 
 P is a dynamics model fitted to the log beforehand, pi' a slowly moving copy of pi. Steps 2 to 6 of the paper's
-Algorithm 1 stand in `outcome_uncertainty` and `worst_case` below. The page docs/reference/algorithms/odaf.md lists the
+Algorithm 1 stand in `outcome_uncertainty` and `worst_case` below. Beyond the paper, with a `target_weight` the critics'
+target falls by target_weight U( P(s', a') ), a' ~ pi(s'), with the slow critics and without a box, so that values
+themselves do not climb where the policy's outcomes are unknown. The page docs/reference/algorithms/odaf.md lists the
 misprints of the paper and how each is read here.
 """
 
@@ -19,8 +21,9 @@ from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 
 from odaf.algorithms import citations
 from odaf.algorithms.base import Metrics, PretrainProgress
+from odaf.algorithms.numbers import is_off
 from odaf.algorithms.terms.base import Context, Term
-from odaf.components.critics import disagreement
+from odaf.components.critics import CriticEnsemble, disagreement
 from odaf.components.dynamics import DynamicsConfig, DynamicsModel, fit_dynamics
 from odaf.components.dynamics import untrained as untrained_dynamics
 from odaf.components.perturbations import draw_offsets, signed_ascent
@@ -40,9 +43,13 @@ class OutcomePenalty(Term):
 
     name: ClassVar[str] = "outcome"
     acts_on_actor: ClassVar[bool] = True
+    acts_on_target: ClassVar[bool] = True
 
     weight: float = 0.3
     """beta_odaf, the penalty's weight in the actor's loss; 0 leaves the term out."""
+    target_weight: float = 0.0
+    """Weight of the next action's outcome's uncertainty, taken off the value of the next state in the critics' target;
+    0 (the paper) leaves the target as it is."""
     radius: float = 0.01
     """epsilon_odaf, half the edge of the box around a state, in standard deviations of the log."""
     solver: Literal["gradient", "sample"] = "gradient"
@@ -89,7 +96,8 @@ class OutcomePenalty(Term):
         for field, count in counts.items():
             if count is not None and count < 1:
                 raise ConfigError(f"outcome.{field}={count} must be at least 1")
-        for field, amount in {"weight": self.weight, "radius": self.radius}.items():
+        amounts = {"weight": self.weight, "target_weight": self.target_weight, "radius": self.radius}
+        for field, amount in amounts.items():
             if amount < 0:
                 raise ConfigError(f"outcome.{field}={amount} must not be negative")
 
@@ -114,6 +122,22 @@ class OutcomePenalty(Term):
         uncertainty = self.worst_case(context, state, key)
         mean = jnp.mean(uncertainty)
         return self.weight * mean, {"outcome/uncertainty": mean, "outcome/uncertainty/max": jnp.max(uncertainty)}
+
+    def target_penalty(
+        self,
+        context: Context,
+        state: DynamicsModel,
+        next_actions: Float[Array, "rows act_dim"],
+        log_density: Float[Array, " rows"],
+        key: PRNGKeyArray,
+    ) -> Float[Array, " rows"]:
+        """target_weight U( P(s', a') )."""
+        del log_density
+        if is_off(self.target_weight):
+            return jnp.zeros(next_actions.shape[0])
+        noise = self._draw_noise(state, *next_actions.shape, key)
+        at = context.batch.next_observations
+        return self.target_weight * self._after(context, context.target_critics, state, at, next_actions, noise)
 
     def worst_case(self, context: Context, dynamics: DynamicsModel, key: PRNGKeyArray) -> Float[Array, " rows"]:
         """Worst U (or, with reduce="mean", mean U) over the box around each state of the batch.
@@ -176,8 +200,20 @@ class OutcomePenalty(Term):
         noise: Noise,
     ) -> Float[Array, " rows"]:
         """U(P(s^, a^)) for one perturbed state s^ a row; differentiable in `actor` and `perturbed`."""
-        action_noise, dynamics_noise, next_noise = noise
-        action, _ = actor.sample(perturbed, action_noise)  # a^ ~ pi(s^)
+        action, _ = actor.sample(perturbed, noise[0])  # a^ ~ pi(s^)
+        return self._after(context, context.critics, dynamics, perturbed, action, noise)
+
+    def _after(
+        self,
+        context: Context,
+        critics: CriticEnsemble,
+        dynamics: DynamicsModel,
+        perturbed: Float[Array, "rows obs_dim"],
+        action: Float[Array, "rows act_dim"],
+        noise: Noise,
+    ) -> Float[Array, " rows"]:
+        """U(P(s^, a^)), once a^ is chosen."""
+        _, dynamics_noise, next_noise = noise
         outcome = dynamics.predict(perturbed, action, dynamics_noise)  # s^' = P(s^, a^)
         next_actor = context.slow_actor if self.next_policy == "slow" else frozen(context.actor)
         state = outcome if self.next_action_at == "outcome" else perturbed
@@ -187,9 +223,7 @@ class OutcomePenalty(Term):
             next_action = next_actor.mode(state)
         if self.detach_next_action:
             next_action = jax.lax.stop_gradient(next_action)
-        return disagreement(
-            context.critics.as_constants(outcome, next_action), self.std_ddof
-        )  # U = std_k Q_k(s^', a^')
+        return disagreement(critics.as_constants(outcome, next_action), self.std_ddof)  # U = std_k Q_k(s^', a^')
 
     @staticmethod
     def _draw_noise(dynamics: DynamicsModel, rows: int, act_dim: int, key: PRNGKeyArray) -> Noise:
