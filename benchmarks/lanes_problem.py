@@ -17,7 +17,7 @@ from odaf.data.spec import Spec
 from odaf.runs import presets
 from odaf.training import loop
 from odaf.training.run_directory import blank_state
-from odaf.training.widths import PaddedState, with_widths
+from odaf.training.widths import PaddedState, widths_of, with_widths
 
 # Observations and actions of Hopper, HalfCheetah and Walker2d.
 ROBOTS = ((11, 3), (17, 6), (17, 6))
@@ -70,9 +70,9 @@ class Setting:
         return max(states for states, _ in own), max(actions for _, actions in own)
 
     @property
-    def action_widths(self) -> tuple[int, ...]:
-        """Numbers of actions that occur, where rows are padded."""
-        return () if self.sets == 1 else tuple(sorted({actions for _, actions in ROBOTS[: self.sets]}))
+    def own_widths(self) -> tuple[tuple[int, int], ...]:
+        """Numbers of observations and actions that occur, where rows are padded."""
+        return () if self.sets == 1 else tuple(sorted(set(ROBOTS[: self.sets])))
 
     def columns(self, place: int) -> Any:
         """A lane's own rows."""
@@ -103,7 +103,7 @@ def compiled(setting: Setting, lanes: int) -> tuple[Any, float]:
     spec = learners.SPEC if setting.widest is None else with_widths(learners.SPEC, setting.widest)
     columns = jax.eval_shape(setting.all_columns)
     program = loop.compiled_lanes(
-        algorithm, columns, setting.sets > 1, blank_state(algorithm, spec), lanes, setting.action_widths
+        algorithm, columns, setting.sets > 1, blank_state(algorithm, spec), lanes, setting.own_widths
     )
     return program, time.perf_counter() - began
 
@@ -143,7 +143,7 @@ class Lanes:
 
 
 def _padding(setting: Setting, lanes: int) -> Padding:
-    return loop.padding_of([setting.spec(place).act_dim for place in range(lanes)], setting.action_widths)
+    return loop.padding_of([widths_of(setting.spec(place)) for place in range(lanes)], setting.own_widths)
 
 
 def _padded_states(setting: Setting, lanes: int) -> list[Any]:

@@ -77,7 +77,7 @@ class NaiveOutcomePenalty(OutcomePenalty):
         rows, obs_dim = states.shape
         key_noise, key_offsets = jr.split(key)
         box = jr.uniform(key_offsets, (self.num_draws, rows, obs_dim), minval=-self.radius, maxval=self.radius)
-        noise = self._draw_noise(dynamics, self.num_draws * rows, context.batch.actions.shape[1], key_noise)
+        noise = self._draw_noise(context, dynamics, self.num_draws * rows, key_noise)
         perturbed = (states[None] + box).reshape(-1, obs_dim)
         uncertainty = self.outcome_uncertainty(context, context.actor, dynamics, perturbed, noise)
         return jnp.max(uncertainty.reshape(self.num_draws, rows), axis=0)

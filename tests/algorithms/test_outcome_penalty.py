@@ -50,7 +50,7 @@ def test_the_target_loses_the_uncertainty_of_the_next_actions_outcome(kind, next
         term, context, side = _setting(options)
         actions = jr.uniform(jr.key(2), (tiny.ROWS, tiny.ACT_DIM), minval=-1.0)
         found = term.target_penalty(context, side, actions, jnp.zeros(tiny.ROWS), jr.key(KEY))
-        _, for_model, for_action = term._draw_noise(side, tiny.ROWS, tiny.ACT_DIM, jr.key(KEY))
+        _, for_model, for_action = term._draw_noise(context, side, tiny.ROWS, jr.key(KEY))
         outcomes = dynamics.PREDICT[kind](side, networks.numbers(context.batch.next_observations), actions, for_model)
         then = networks.mode(context.slow_actor, outcomes)
         if next_action == "sample":
@@ -70,19 +70,19 @@ def _setting(options, norm="layer"):
     return term, tiny.context_of(state, tiny.batch()), tiny.dynamics_model(config, 5)
 
 
-def _draws(term, side, key):
+def _draws(term, context, side, key):
     """The offsets and the noise of all draws for the sample solver, the noise alone for the gradient solver."""
     rows = tiny.ROWS if term.num_states is None else term.num_states
     key_noise, key_offsets = jr.split(key)
     if term.solver == "gradient":
-        return np.zeros(0), [term._draw_noise(side, rows, tiny.ACT_DIM, key_noise)]
+        return np.zeros(0), [term._draw_noise(context, side, rows, key_noise)]
     centre = term.include_centre
     offsets = draw_offsets(
         key_offsets, term.num_draws, rows, tiny.OBS_DIM, term.radius, shared=term.shared_draws, include_centre=centre
     )
     if term.common_noise:
-        return offsets, [term._draw_noise(side, rows, tiny.ACT_DIM, key_noise)] * term.num_draws
-    return offsets, [term._draw_noise(side, rows, tiny.ACT_DIM, k) for k in jr.split(key_noise, term.num_draws)]
+        return offsets, [term._draw_noise(context, side, rows, key_noise)] * term.num_draws
+    return offsets, [term._draw_noise(context, side, rows, k) for k in jr.split(key_noise, term.num_draws)]
 
 
 def _expected(term, context, side, key, actor=None) -> np.ndarray:
@@ -102,7 +102,7 @@ def _expected(term, context, side, key, actor=None) -> np.ndarray:
         )
 
     states = networks.numbers(context.batch.observations)[: term.num_states]
-    offsets, noises = _draws(term, side, key)
+    offsets, noises = _draws(term, context, side, key)
     if term.solver == "gradient":
         return outcome.ascend(states, noises[0], u, term.radius, term.ascent_steps)
     return outcome.worst_of_draws(states, offsets, noises, u, term.reduce)
@@ -135,7 +135,7 @@ def test_every_option_follows_algorithm_1(options):
 def test_a_detached_next_action_leaves_the_direct_path_only():
     with tiny.exactly():
         term, context, side = _setting({"radius": 0.0, "detach_next_action": True})
-        _, (noise,) = _draws(term, side, jr.key(KEY))
+        _, (noise,) = _draws(term, context, side, jr.key(KEY))
         predict = functools.partial(dynamics.deterministic, side)
         states = networks.numbers(context.batch.observations)
         reached = predict(states, networks.act(context.actor, states, noise[0])[0])
@@ -160,7 +160,7 @@ def test_a_detached_next_action_leaves_the_direct_path_only():
 
 def _naive(term, context, side, key):
     """The maximum over all draws, differentiated through every one of them."""
-    offsets, noises = _draws(term, side, key)
+    offsets, noises = _draws(term, context, side, key)
     constant = dataclasses.replace(
         context,
         critics=frozen(context.critics),
@@ -209,7 +209,7 @@ def test_choosing_first_gives_the_gradient_of_the_naive_maximum(kind, norm, comp
 def _gains(term, context, side, offsets):
     """Mean increase of U over its value at the state itself: by one signed step, and by the best of the offsets."""
     states = context.batch.observations
-    noise = term._draw_noise(side, *context.batch.actions.shape, jr.split(jr.key(KEY))[0])  # as `worst_case` of KEY
+    noise = term._draw_noise(context, side, tiny.ROWS, jr.split(jr.key(KEY))[0])  # as `worst_case` of KEY
 
     def u(offset):
         return term.outcome_uncertainty(context, context.actor, side, states + offset, noise)

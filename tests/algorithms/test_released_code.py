@@ -56,7 +56,8 @@ def test_the_actors_loss_is_the_released_codes():
         key = jr.key(KEY)
         key_noise, key_offsets = jr.split(_key_for(terms["outcome"], key))
         noises = [
-            terms["outcome"]._draw_noise(model, tiny.ROWS, tiny.ACT_DIM, one) for one in jr.split(key_noise, DRAWS)
+            terms["outcome"]._draw_noise(learner._context(state, batch), model, tiny.ROWS, one)
+            for one in jr.split(key_noise, DRAWS)
         ]
         draws = {
             "noise": jr.normal(jr.fold_in(key, 0), (tiny.ROWS, tiny.ACT_DIM)),

@@ -11,7 +11,8 @@ import pytest
 
 import odaf
 from battery import learners
-from odaf.algorithms.terms import BehaviourDistance, GradientDiversity
+from odaf.algorithms.terms import BehaviourDistance, GradientDiversity, OutcomePenalty
+from odaf.components.perturbations import draw_offsets
 from odaf.data.dataset import Dataset
 from odaf.data.normalisation import Normaliser
 from odaf.data.padding import Padding
@@ -53,6 +54,12 @@ LEARNERS: dict[str, Any] = {
     "terms": dataclasses.replace(
         learners.of_preset("edac"), terms=(GradientDiversity(), BehaviourDistance(target_weight=0.1))
     ),
+    "odaf": learners.of_preset("odaf-light"),
+    "odaf, sampled": learners.small(
+        dataclasses.replace(
+            learners.of_preset("sac-n"), terms=(OutcomePenalty(solver="sample", num_draws=3, target_weight=0.5),)
+        )
+    ),
 }
 
 
@@ -74,7 +81,7 @@ def test_a_padded_lane_computes_what_it_computes_alone(name):
     rows = [len(log) for log in LOGS]
     slabs = (jnp.asarray([0, rows[0]], jnp.int32), jnp.asarray(rows, jnp.int32))
     states = loop.stacked([padder.pad(first) for padder, first in zip(padders, firsts, strict=True)])
-    padding = loop.padding_of([log.act_dim for log in LOGS], (1, 2))
+    padding = loop.padding_of([(log.obs_dim, log.act_dim) for log in LOGS], ((2, 1), (3, 2)))
     structure, numbers = loop.split_lanes([learner, learner])
     keys = jnp.stack([key, key])
     states, metrics = loop.train_lanes(structure, numbers, together, slabs, keys, number(0), number(4), states, padding)
@@ -94,16 +101,20 @@ def test_a_padded_lane_computes_what_it_computes_alone(name):
 
 def test_noise_of_a_padded_lane_has_the_bits_of_its_own_width():
     for own in (1, 3):
-        padding = Padding(jnp.asarray(own), (1, 3))
+        padding = Padding(jnp.asarray(2 * own), jnp.asarray(own), ((2, 1), (6, 3)))
         drawn = padding.normal(jr.key(7), 5, 4)
         np.testing.assert_array_equal(drawn[:, :own], jr.normal(jr.key(7), (5, own)))
         assert not drawn[:, own:].any()
+        settings = {"shared": False, "include_centre": False}
+        offsets = draw_offsets(jr.key(8), 3, 5, 7, 0.1, padding=padding, **settings)
+        np.testing.assert_array_equal(offsets[..., : 2 * own], draw_offsets(jr.key(8), 3, 5, 2 * own, 0.1, **settings))
+        assert not offsets[..., 2 * own :].any()
 
 
 def test_a_batch_counts_its_own_dimensions():
     values = jnp.arange(6.0).reshape(2, 3)
     rows, number = jnp.zeros((2, 3)), jnp.zeros(2)
-    batch = Transitions(rows, rows, number, rows, number, padding=Padding(jnp.asarray(2), (2, 3)))
+    batch = Transitions(rows, rows, number, rows, number, padding=Padding(jnp.asarray(3), jnp.asarray(2), ((3, 2),)))
     assert float(batch.mean_over_actions(values)) == (0.0 + 1.0 + 3.0 + 4.0) / 4.0
     assert batch.own_actions is not None and batch.own_actions.tolist() == [True, True, False]
 

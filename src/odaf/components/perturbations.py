@@ -8,12 +8,21 @@ import jax.random as jr
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from odaf.components.numbers import Number
+from odaf.data.padding import Padding
 
 Objective = Callable[[Float[Array, "rows obs_dim"]], Float[Array, " rows"]]
 
 
 def draw_offsets(
-    key: PRNGKeyArray, draws: int, rows: int, obs_dim: int, radius: Number, *, shared: bool, include_centre: bool
+    key: PRNGKeyArray,
+    draws: int,
+    rows: int,
+    obs_dim: int,
+    radius: Number,
+    *,
+    shared: bool,
+    include_centre: bool,
+    padding: Padding | None = None,
 ) -> Float[Array, "draws rows obs_dim"]:
     """Uniform offsets in the box.
 
@@ -25,9 +34,15 @@ def draw_offsets(
         radius: half the edge of the box, in normalised units.
         shared: every state of the batch gets the same offsets (as in RORL's code) instead of its own.
         include_centre: the first draw is replaced by the state itself.
+        padding: which dimensions are a data set's own; along the others offsets are 0.
     """
-    shape = (draws, 1 if shared else rows, obs_dim)
-    offsets = jnp.broadcast_to(jr.uniform(key, shape, minval=-radius, maxval=radius), (draws, rows, obs_dim))
+
+    def uniform(width: int) -> Float[Array, "draws states {width}"]:
+        shape = (draws, 1 if shared else rows, width)
+        return jr.uniform(jr.clone(key), shape, minval=-radius, maxval=radius)
+
+    drawn = uniform(obs_dim) if padding is None else padding.over_states(uniform, obs_dim)
+    offsets = jnp.broadcast_to(drawn, (draws, rows, obs_dim))
     return offsets.at[0].set(0.0) if include_centre else offsets
 
 

@@ -36,18 +36,20 @@ class Transitions(eqx.Module):
         """Which dimensions of the actions are the data set's own; None if all are."""
         return None if self.padding is None else self.padding.mask(self.actions.shape[1])
 
-    def action_noise(self, key: PRNGKeyArray) -> Float[Array, "batch act_dim"]:
-        """Standard normal draws, one for each number of the actions; 0 where a dimension is not the data set's own."""
-        if self.padding is None:
-            return jr.normal(key, self.actions.shape)
-        return self.padding.normal(key, *self.actions.shape)
+    def action_noise(self, key: PRNGKeyArray, rows: int | None = None) -> Float[Array, "rows act_dim"]:
+        """Standard normal draws, one for each number of the actions, or of so many rows of actions.
+
+        They are 0 where a dimension is not the data set's own.
+        """
+        shape = self.actions.shape[0] if rows is None else rows, self.actions.shape[1]
+        return jr.normal(key, shape) if self.padding is None else self.padding.normal(key, *shape)
 
     def mean_over_actions(self, values: Float[Array, "batch act_dim"]) -> Float[Array, ""]:
         """Mean over rows and over the data set's own dimensions."""
         if self.padding is None:
             return jnp.mean(values)
         own = jnp.where(self.padding.mask(values.shape[1]), values, 0.0)
-        return jnp.sum(own) / (values.shape[0] * self.padding.own.astype(values.dtype))
+        return jnp.sum(own) / (values.shape[0] * self.padding.actions.astype(values.dtype))
 
     def with_padding(self, padding: Padding) -> "Transitions":
         """The same batch, the actor's rows included, that knows its own dimensions."""

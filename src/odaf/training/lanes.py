@@ -127,9 +127,9 @@ class _Program:
         state = run_directory.blank_state(learner, spec if padded is None else with_widths(spec, padded))
         specs = {widths_of(lane.seed.run.spec): lane.seed.run.spec for lane in lanes}
         self._padded = {} if padded is None else {own: PaddedState(learner, specs[own], padded) for own in specs}
-        self._actions = tuple(sorted({actions for _, actions in self._padded}))
+        self._own_widths = tuple(sorted(self._padded))
         self.width, self.train = _that_fits(
-            lambda lanes: loop.compiled_lanes(learner, together, len(shapes) > 1, state, lanes, self._actions), width
+            lambda lanes: loop.compiled_lanes(learner, together, len(shapes) > 1, state, lanes, self._own_widths), width
         )
         give_back_freed_memory()
         self.compile_seconds = time.perf_counter() - began
@@ -164,8 +164,8 @@ class _Program:
 
     def padding(self, lanes: Sequence[Lane]) -> Padding | None:
         """What each lane's batches have of their own."""
-        own = [lane.seed.run.spec.act_dim for lane in lanes]
-        return loop.padding_of(own, self._actions) if self._padded else None
+        own = [widths_of(lane.seed.run.spec) for lane in lanes]
+        return loop.padding_of(own, self._own_widths) if self._padded else None
 
     def slabs(self, lanes: Sequence[Lane]) -> loop.Slabs | None:
         """Where each lane's rows lie."""

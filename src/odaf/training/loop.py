@@ -140,7 +140,7 @@ def train_lanes(
             because it is.
         last: updates that the result will have had.
         states: the `stacked` states of the lanes. Their memory is given to the result: do not use them again.
-        padding: whose `own` has a leading axis [lanes], where rows and states are padded to the widest lane's.
+        padding: whose numbers have a leading axis [lanes], where rows and states are padded to the widest lane's.
 
     Returns:
         The stacked states after `last` updates, and one number a metric and lane. A lane agrees with the single run up
@@ -194,7 +194,12 @@ def compiled_stretch(algorithm: Algorithm, columns: Columns, state: Any) -> Comp
 
 
 def compiled_lanes(
-    algorithm: Algorithm, columns: Columns, slabs: bool, state: Any, lanes: int, actions: tuple[int, ...] = ()
+    algorithm: Algorithm,
+    columns: Columns,
+    slabs: bool,
+    state: Any,
+    lanes: int,
+    widths: tuple[tuple[int, int], ...] = (),
 ) -> Any:
     """`train_lanes` compiled for shapes alone: takes numbers, columns, slabs, keys, first, last, states and padding.
 
@@ -204,7 +209,7 @@ def compiled_lanes(
         slabs: whether each lane has a part of them to draw from.
         state: `run_directory.blank_state` of the learner.
         lanes: how many trainings are in one call.
-        actions: numbers of action dimensions that occur, where rows and state are padded; () is for all of one width.
+        widths: numbers of observations and actions that occur, where rows and state are padded; () is for all of one.
     """
     structure, numbers = split(algorithm)
 
@@ -216,13 +221,14 @@ def compiled_lanes(
     key = wide(jax.eval_shape(lambda: training_key(0)))
     many, states = jax.tree.map(wide, numbers), jax.tree.map(wide, state)
     borders = (row, row) if slabs else None
-    padding = jax.eval_shape(lambda: padding_of([0] * lanes, actions)) if actions else None
+    padding = jax.eval_shape(lambda: padding_of([(0, 0)] * lanes, widths)) if widths else None
     return _train_lanes.lower(structure, many, columns, borders, key, number, number, states, padding).compile()
 
 
-def padding_of(own: Sequence[int], widths: tuple[int, ...]) -> Padding:
-    """The padding of lanes whose actions have so many dimensions of their own, of the `widths` that occur."""
-    return Padding(jnp.asarray(own, jnp.int32), widths)
+def padding_of(own: Sequence[tuple[int, int]], widths: tuple[tuple[int, int], ...]) -> Padding:
+    """The padding of lanes whose states and actions have so many dimensions of their own, out of the `widths`."""
+    states, actions = zip(*own, strict=True)
+    return Padding(jnp.asarray(states, jnp.int32), jnp.asarray(actions, jnp.int32), widths)
 
 
 def update_number(step: int) -> Int[Array, ""]:

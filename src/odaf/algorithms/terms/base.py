@@ -47,8 +47,12 @@ class Term(abc.ABC):
     acts_on_critics: ClassVar[bool] = False
     acts_on_target: ClassVar[bool] = False
     needs_next_state: ClassVar[bool] = False  # reads s' as the state after one step, so targets must span one step
-    can_be_padded: ClassVar[bool] = False  # computes with columns of zeros what it computes without them
     weight: float
+
+    @property
+    def can_be_padded(self) -> bool:
+        """Whether it computes with columns of zeros what it computes without them; see `odaf.data.padding`."""
+        return False
 
     def citations(self) -> tuple[Citation, ...]:
         """The papers to name beside results of these settings."""

@@ -40,7 +40,6 @@ class BehaviourDistance(Term):
     name: ClassVar[str] = "behaviour"
     acts_on_actor: ClassVar[bool] = True
     acts_on_target: ClassVar[bool] = True
-    can_be_padded: ClassVar[bool] = True  # an action that is not there is 0 in log and policy
 
     weight: float = 0.1
     """Weight in the actor's loss, in units of the mean size of the values it climbs; 0 leaves the term out."""
@@ -62,6 +61,11 @@ class BehaviourDistance(Term):
                 f"behaviour.decay_updates={self.decay_updates}, behaviour.final_weight={self.final_weight}: a weight "
                 "that changes needs both, a number of updates above 0 and where it ends; one that stays has neither"
             )
+
+    @property
+    def can_be_padded(self) -> bool:
+        """Yes: an action that is not there is 0 in log and policy."""
+        return True
 
     def citations(self) -> tuple[citations.Citation, ...]:
         """TD3+BC, and ReBRAC where the target has its part."""

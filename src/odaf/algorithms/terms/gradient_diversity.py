@@ -38,10 +38,14 @@ class GradientDiversity(Term):
 
     name: ClassVar[str] = "diversity"
     acts_on_critics: ClassVar[bool] = True
-    can_be_padded: ClassVar[bool] = True  # critics have no slope along an action that is not there
 
     weight: float = 1.0
     """eta, the weight in the critics' loss (EDAC 1 or 5, by task); 0 leaves the term out."""
+
+    @property
+    def can_be_padded(self) -> bool:
+        """Yes: critics have no slope along an action that is not there."""
+        return True
 
     def citations(self) -> tuple[citations.Citation, ...]:
         """EDAC, of one paper with SAC-N."""

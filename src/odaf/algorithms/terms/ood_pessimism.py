@@ -73,6 +73,11 @@ class OODPessimism(Term):
     std_ddof: Literal[0, 1] = 0
     """0 divides the variance by K, 1 by K - 1 (both authors' codes)."""
 
+    @property
+    def can_be_padded(self) -> bool:
+        """Yes: offsets and actions are drawn for a lane's own dimensions."""
+        return True
+
     def citations(self) -> tuple[citations.Citation, ...]:
         """PBRL, and RORL where states are perturbed."""
         return (citations.PBRL,) if self.radius == 0.0 else (citations.PBRL, citations.RORL)
@@ -133,11 +138,18 @@ class OODPessimism(Term):
         draws = self.num_actions
         key_offsets, key_actions = jr.split(key)
         offsets = draw_offsets(
-            key_offsets, draws, rows, obs_dim, self.radius, shared=self.shared_draws, include_centre=False
+            key_offsets,
+            draws,
+            rows,
+            obs_dim,
+            self.radius,
+            shared=self.shared_draws,
+            include_centre=False,
+            padding=context.batch.padding,
         )
         perturbed = (states[None] + offsets).reshape(draws * rows, obs_dim)
-        noise = jr.normal(key_actions, (draws * rows, context.batch.actions.shape[1]))
-        actions, _ = frozen(context.actor).sample(perturbed, noise)
+        noise = context.batch.action_noise(key_actions, draws * rows)
+        actions, _ = frozen(context.actor).sample(perturbed, noise, context.batch.own_actions)
 
         count = draws // draws_at_once(draws, rows)
         parts = jax.tree.map(lambda column: column.reshape(count, -1, column.shape[-1]), (perturbed, actions))

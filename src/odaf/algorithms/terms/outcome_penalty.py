@@ -82,6 +82,12 @@ class OutcomePenalty(Term):
     dynamics: DynamicsConfig = dataclasses.field(default_factory=DynamicsConfig)
     """The model of the next state."""
 
+    @property
+    def can_be_padded(self) -> bool:
+        """With a model without draws: those of the others are for a state of all widths. The gradient solver stays at 0
+        along a column that no network sees."""
+        return self.dynamics.kind == "deterministic"
+
     def citations(self) -> tuple[citations.Citation, ...]:
         """ODAF."""
         return (citations.ODAF,)
@@ -135,7 +141,7 @@ class OutcomePenalty(Term):
         del log_density
         if is_off(self.target_weight):
             return jnp.zeros(next_actions.shape[0])
-        noise = self._draw_noise(state, *next_actions.shape, key)
+        noise = self._draw_noise(context, state, next_actions.shape[0], key)
         at = context.batch.next_observations
         return self.target_weight * self._after(context, context.target_critics, state, at, next_actions, noise)
 
@@ -149,11 +155,10 @@ class OutcomePenalty(Term):
         dynamics = frozen(dynamics)
         states = context.batch.observations[: self.num_states]
         rows, obs_dim = states.shape
-        act_dim = context.batch.actions.shape[1]
         key_noise, key_offsets = jr.split(key)
 
         if self.solver == "gradient":
-            noise = self._draw_noise(dynamics, rows, act_dim, key_noise)
+            noise = self._draw_noise(context, dynamics, rows, key_noise)
             fixed_actor = frozen(context.actor)
 
             def at(offsets: Float[Array, "rows obs_dim"]) -> Float[Array, " rows"]:
@@ -170,13 +175,14 @@ class OutcomePenalty(Term):
             self.radius,
             shared=self.shared_draws,
             include_centre=self.include_centre,
+            padding=context.batch.padding,
         )
         if self.common_noise:
-            common = self._draw_noise(dynamics, rows, act_dim, key_noise)
+            common = self._draw_noise(context, dynamics, rows, key_noise)
             noises = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf[None], (self.num_draws, *leaf.shape)), common)
         else:
             keys = jr.split(key_noise, self.num_draws)
-            noises = jax.vmap(lambda k: self._draw_noise(dynamics, rows, act_dim, k))(keys)
+            noises = jax.vmap(lambda k: self._draw_noise(context, dynamics, rows, k))(keys)
         # without gradients where only the winner is differentiated
         judging_actor = context.actor if self.reduce == "mean" else frozen(context.actor)
 
@@ -200,7 +206,7 @@ class OutcomePenalty(Term):
         noise: Noise,
     ) -> Float[Array, " rows"]:
         """U(P(s^, a^)) for one perturbed state s^ a row; differentiable in `actor` and `perturbed`."""
-        action, _ = actor.sample(perturbed, noise[0])  # a^ ~ pi(s^)
+        action, _ = actor.sample(perturbed, noise[0], context.batch.own_actions)  # a^ ~ pi(s^)
         return self._after(context, context.critics, dynamics, perturbed, action, noise)
 
     def _after(
@@ -218,7 +224,7 @@ class OutcomePenalty(Term):
         next_actor = context.slow_actor if self.next_policy == "slow" else frozen(context.actor)
         state = outcome if self.next_action_at == "outcome" else perturbed
         if self.next_action == "sample":
-            next_action, _ = next_actor.sample(state, next_noise)  # a^' ~ pi'(s^')
+            next_action, _ = next_actor.sample(state, next_noise, context.batch.own_actions)  # a^' ~ pi'(s^')
         else:
             next_action = next_actor.mode(state)
         if self.detach_next_action:
@@ -226,12 +232,12 @@ class OutcomePenalty(Term):
         return disagreement(critics.as_constants(outcome, next_action), self.std_ddof)  # U = std_k Q_k(s^', a^')
 
     @staticmethod
-    def _draw_noise(dynamics: DynamicsModel, rows: int, act_dim: int, key: PRNGKeyArray) -> Noise:
+    def _draw_noise(context: Context, dynamics: DynamicsModel, rows: int, key: PRNGKeyArray) -> Noise:
         key_action, key_dynamics, key_next = jr.split(key, 3)
         return (
-            jr.normal(key_action, (rows, act_dim)),
+            context.batch.action_noise(key_action, rows),
             dynamics.draw_noise(key_dynamics, rows),
-            jr.normal(key_next, (rows, act_dim)),
+            context.batch.action_noise(key_next, rows),
         )
 
     @staticmethod
