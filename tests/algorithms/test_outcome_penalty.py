@@ -209,7 +209,7 @@ def test_choosing_first_gives_the_gradient_of_the_naive_maximum(kind, norm, comp
 def _gains(term, context, side, offsets):
     """Mean increase of U over its value at the state itself: by one signed step, and by the best of the offsets."""
     states = context.batch.observations
-    noise = term._draw_noise(context, side, tiny.ROWS, jr.split(jr.key(KEY))[0])  # as `worst_case` of KEY
+    noise = term._draw_noise(context, side, len(states), jr.split(jr.key(KEY))[0])  # as `worst_case` of KEY
 
     def u(offset):
         return term.outcome_uncertainty(context, context.actor, side, states + offset, noise)

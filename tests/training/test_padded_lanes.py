@@ -78,7 +78,7 @@ def test_a_padded_lane_computes_what_it_computes_alone(name):
         firsts.append(loop.donatable(loop.first_state(learner, log.spec(), loop.init_key(0), models)))
     wide = [padded_columns(_columns(learner, log), WIDE) for log in LOGS]
     together = jax.tree.map(lambda *parts: jnp.concatenate(parts), *wide)
-    rows = [len(log) for log in LOGS]
+    rows = [jax.tree.leaves(each)[0].shape[0] for each in wide]
     slabs = (jnp.asarray([0, rows[0]], jnp.int32), jnp.asarray(rows, jnp.int32))
     states = loop.stacked([padder.pad(first) for padder, first in zip(padders, firsts, strict=True)])
     padding = loop.padding_of([(log.obs_dim, log.act_dim) for log in LOGS], ((2, 1), (3, 2)))
