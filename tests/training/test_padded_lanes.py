@@ -105,7 +105,7 @@ def test_noise_of_a_padded_lane_has_the_bits_of_its_own_width():
         drawn = padding.normal(jr.key(7), 5, 4)
         np.testing.assert_array_equal(drawn[:, :own], jr.normal(jr.key(7), (5, own)))
         assert not drawn[:, own:].any()
-        settings = {"shared": False, "include_centre": False}
+        settings: dict[str, Any] = {"shared": False, "include_centre": False}
         offsets = draw_offsets(jr.key(8), 3, 5, 7, 0.1, padding=padding, **settings)
         np.testing.assert_array_equal(offsets[..., : 2 * own], draw_offsets(jr.key(8), 3, 5, 2 * own, 0.1, **settings))
         assert not offsets[..., 2 * own :].any()
